@@ -347,13 +347,14 @@ class Case(Declared):
             for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
-            if isinstance(self.damage, PointDamage):
+            if self.damage is not None and self.damage.point_laws:
                 raise CaseError(
                     "PointDamage is for deformation gradients; a body of bonds takes a law of bonds, such as "
                     "LinearSoftening."
                 )
-            if self.damage is not None and self.damage.effect.reversible:
-                effect = type(self.damage.effect).__name__
+            reversible = [law.effect for law in self.damage_laws if law.effect.reversible]
+            if reversible:
+                effect = type(reversible[0]).__name__
                 raise CaseError(f"{effect} is for deformation gradients; bonds of a body of bonds do not heal.")
 
 

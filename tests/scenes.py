@@ -9,6 +9,7 @@ import numpy as np
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood, combine
+from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -20,9 +21,9 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
+from pdpetsc.terms.degraded_patches import failing_points
 from pdpetsc.terms.mean_dilatation import material_points
-from pdpetsc.terms.tangent_scaled import control_forces
+from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 import study
@@ -188,10 +189,11 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     if control is not None:
         stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
         built = control.build(cloud, families, omega, stiffness)
-    if isinstance(law, pd.PointDamage):
-        operator, spared = scheme.build(cloud, families, omega), np.zeros(cloud.n_owned, dtype=bool)
-        points = DegradedPoints(whole, operator, materials, material_of, None, law, spared, built)
-        terms = [] if built is None else [DegradedControl(whole, type(control).__name__, built, points)]
+    if law is not None and law.point_laws:
+        laws = AssignedPointDamage(law.point_laws, law.assign_particles(cloud, families, marking(cloud)))
+        operator = scheme.build(cloud, families, omega)
+        failing = failing_points(scheme, whole, operator, materials, material_of, None, laws)
+        points, *terms = [failing(None)] if built is None else degraded_control(control, whole, built, failing)
         return Small(Problem(whole, points, terms, Supports(whole), points))
     damage = None
     if law is not None:

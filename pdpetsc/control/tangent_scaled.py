@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import StencilMembers
 
 # Shares that differ from one by less are those of an elastic point.
 ROUND = 1e-9
@@ -143,6 +144,39 @@ class Yielding:
     def _ratio(self, e: Float) -> Float:
         largest = self.kept[:, 1]
         return np.divide(largest, e, out=np.zeros_like(e), where=e > largest)
+
+
+@dataclass(frozen=True)
+class YieldingFamilies:
+    """The families of an elastic control that yield, as gradient points that fail read them.
+
+    Attributes
+    ----------
+    control : Control
+        The elastic control.
+    yielding : Yielding
+        The history variables of the families.
+    """
+
+    control: Control
+    yielding: Yielding
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles with their centre first."""
+        return self.control.families_at(particles)
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return ``(q / e) f_elastic`` on the members of the families of some own particles (n_entries, dim)."""
+        forces, size = self.control.forces_at(u, particles), np.diff(self.families_at(particles).point_ptr)
+        return np.asarray(forces * np.repeat(self.yielding.secant(self._size(u))[particles], size)[:, None])
+
+    def family_energy(self, u: Float) -> Float:
+        """Return the energy of the families with what is lost (n_owned,) [energy]."""
+        return self.yielding.energy(self._size(u))
+
+    def _size(self, u: Float) -> Float:
+        """Return ``e`` (n_owned,) [energy^(1/2)]."""
+        return np.asarray(np.sqrt(np.maximum(2.0 * self.control.family_energy(u), 0.0)))
 
 
 def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from scipy.special import roots_legendre
@@ -145,6 +145,11 @@ class BondDamage(Declared, ABC):
     def all_laws(self) -> list[BondDamage]:
         """Return the law itself, as ``DamageOf`` returns its laws."""
         return [self]
+
+    @property
+    def point_laws(self) -> list[Any]:
+        """Return the laws of gradient points, of which it is none."""
+        return []
 
     def rehearsed(self) -> BondDamage:
         """Return damage of another body with which its loops can be compiled."""

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.damage.laws import BondDamage
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.damage.laws import BondDamage, Marking
 from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared, Positive, name_of, numbers_from
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import LARGEST_MODULUS
 from pdpetsc.material.split import NoTension, Split
@@ -88,6 +90,15 @@ class PointDamage(Declared):
         """Return its regions with what they are."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]
 
+    @property
+    def point_laws(self) -> list[PointDamage]:
+        """Return the law itself, as ``DamageOf`` returns its laws."""
+        return [self]
+
+    def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
+        """Return the number of the law of each own particle (n_owned,): 0, -1 if it does not fail (collective)."""
+        return without_protected(np.zeros(cloud.n_owned, dtype=np.int64), self.point_laws, None, mark)
+
     def rehearsed(self) -> PointDamage:
         """Return damage of another body with which its loops can be compiled."""
         return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
@@ -104,6 +115,119 @@ class PointDamage(Declared):
     def crack_energy(self, x: Float, normal: Float) -> Float:
         """Return Gc (n,) [energy / area] at places for cracks across unit vectors, both (n, dim)."""
         return _numbers("Gc of PointDamage", self.Gc, x, normal)
+
+
+def without_protected(
+    of_particle: GlobalIndex, laws: Sequence[PointDamage], protected: Region | None, mark: Marking
+) -> GlobalIndex:
+    """Return the numbers of the laws of particles (n_owned,) with -1 in protected regions (collective).
+
+    Parameters
+    ----------
+    of_particle : (n_owned,) int64
+        The number of the law of each particle, -1 if it does not fail.
+    laws : sequence of PointDamage
+        Each protects particles among its own.
+    protected : Region or None
+        Particles of any law that do not fail.
+    mark : callable
+        Marks the local particles in a region (n_local,).
+    """
+    found = of_particle.copy()
+    for number, law in enumerate(laws):
+        if law.protected is not None:
+            found[(found == number) & mark(law.protected, "what damage is protected from")[: len(found)]] = -1
+    if protected is not None:
+        found[mark(protected, "what damage is protected from")[: len(found)]] = -1
+    return found
+
+
+@dataclass(frozen=True)
+class CurvesAtPoints:
+    """Softening curves and the gradient points that follow them; ``points`` are the numbers of some of these (n,).
+
+    Parameters
+    ----------
+    curves : sequence of SofteningCurve
+        All of a body.
+    of_point : (n_points,) int64
+        Number of the curve of each point, -1 for a point that does not fail.
+    """
+
+    curves: Sequence[SofteningCurve]
+    of_point: GlobalIndex
+
+    def stress(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return ``s`` (n,) [-] for xi between 0 and 1."""
+        return self._by_curve(lambda curve, at: curve.stress(xi[at]), points)
+
+    def slope(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return ``ds/dxi`` (n,) [-]."""
+        return self._by_curve(lambda curve, at: curve.slope(xi[at]), points)
+
+    def integral(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return the integral of s from 0 to xi (n,) [-]."""
+        return self._by_curve(lambda curve, at: curve.integral(xi[at]), points)
+
+    def area(self, points: GlobalIndex) -> Float:
+        """Return the integral of s from 0 to 1 (n,) [-], 1 at points that do not fail."""
+        return np.asarray(np.array([*(curve.area for curve in self.curves), 1.0])[self.of_point[points]])
+
+    def _by_curve(self, function: Callable[[SofteningCurve, GlobalIndex], Float], points: GlobalIndex) -> Float:
+        values, of = np.zeros(len(points)), self.of_point[points]
+        for number, curve in enumerate(self.curves):
+            at = np.flatnonzero(of == number)
+            values[at] = function(curve, at)
+        return values
+
+
+@dataclass(frozen=True)
+class AssignedPointDamage:
+    """Laws of damage at gradient points, and the particles whose points obey them.
+
+    Attributes
+    ----------
+    laws : sequence of PointDamage
+        All of a body, with one split.
+    of_particle : (n_owned,) int64
+        The number of the law of each own particle, -1 if its points do not fail.
+    """
+
+    laws: Sequence[PointDamage]
+    of_particle: GlobalIndex
+
+    @property
+    def split(self) -> Split:
+        """Return the split of all laws."""
+        return self.laws[0].split
+
+    @property
+    def varies(self) -> bool:
+        """Return whether a fracture energy is a function of place and direction."""
+        return any(callable(law.Gc) for law in self.laws)
+
+    def curves(self, owner: LocalIndex) -> CurvesAtPoints:
+        """Return the softening curves of points of these particles (n_points,)."""
+        return CurvesAtPoints([law.curve for law in self.laws], self.of_particle[owner])
+
+    def onset_energy(self, E: Float, x: Float) -> Float:
+        """Return ``PointDamage.onset_energy`` of the particles (n_owned,), E where points do not fail."""
+        found = E.copy()
+        for number, law in enumerate(self.laws):
+            mine = self.of_particle == number
+            found[mine] = law.onset_energy(E[mine], x[mine])
+        return found
+
+    def crack_energy(self, particles: LocalIndex, x: Float, normal: Float) -> Float:
+        """Return Gc (n,) at some particles (n,) for cracks across unit vectors (n, dim), 0 if none fails.
+
+        ``x`` (n, dim) are their positions [length].
+        """
+        found, of = np.zeros(len(particles)), self.of_particle[particles]
+        for number, law in enumerate(self.laws):
+            mine = of == number
+            found[mine] = law.crack_energy(x[mine], normal[mine])
+        return found
 
 
 def _numbers(what: str, given: Any, *at: Float) -> Float:
@@ -126,15 +250,15 @@ class FailingPoints:
 
     Parameters
     ----------
-    curve : SofteningCurve
+    curves : CurvesAtPoints
         How stress falls.
     onset_energy : (n_points,) float64
         ``Y_0`` [energy / volume].
-    spared : (n_points,) bool
-        Points that do not fail.
 
     Attributes
     ----------
+    spared : (n_points,) bool
+        Points that do not fail.
     phi, kappa, final : (n_points,) float64
         Degradation factor, largest drive at the converged steps so far, and the drive at which nothing is left [-].
     largest : (n_points,) float64
@@ -147,16 +271,16 @@ class FailingPoints:
         further loading is wanted [-].
     """
 
-    def __init__(self, curve: SofteningCurve, onset_energy: Float, spared: Mask) -> None:
+    def __init__(self, curves: CurvesAtPoints, onset_energy: Float) -> None:
         n = len(onset_energy)
-        self.curve, self.onset_energy, self.spared = curve, onset_energy, spared
+        self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
         self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.frozen, self.slack = False, 0.0
         self.commit()
 
     def final_of(self, points: GlobalIndex, energy: Float) -> Float:
         """Return r (n,) of some points for what they take (n,) [energy / volume]."""
-        return 1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curve.area)
+        return np.asarray(1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curves.area(points)))
 
     @property
     def gone(self) -> Mask:
@@ -179,10 +303,10 @@ class FailingPoints:
             return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
         largest = np.maximum(x, self.kappa)
         fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.final) & ~self.spared
-        slope = np.zeros(len(x))
-        xi = (largest[fails] - 1.0) / (self.final[fails] - 1.0)
-        by_x = self.curve.slope(xi) / (self.final[fails] - 1.0)
-        slope[fails] = (by_x - self.curve.stress(xi) / largest[fails]) / largest[fails]
+        slope, at = np.zeros(len(x)), np.flatnonzero(fails)
+        xi = (largest[at] - 1.0) / (self.final[at] - 1.0)
+        by_x = self.curves.slope(xi, at) / (self.final[at] - 1.0)
+        slope[at] = (by_x - self.curves.stress(xi, at) / largest[at]) / largest[at]
         return self.phi_of(largest, self.final), fails, slope
 
     def phi_of(self, x: Float, final: Float) -> Float:
@@ -190,7 +314,7 @@ class FailingPoints:
         phi = np.ones(len(x))
         phi[(x >= final) & ~self.spared] = 0.0
         begun = np.flatnonzero((x > 1.0) & (x < final) & ~self.spared)
-        phi[begun] = self.curve.stress((x[begun] - 1.0) / (final[begun] - 1.0)) / x[begun]
+        phi[begun] = self.curves.stress((x[begun] - 1.0) / (final[begun] - 1.0), begun) / x[begun]
         return phi
 
     def dissipated(self) -> Float:
@@ -199,5 +323,5 @@ class FailingPoints:
         begun = np.flatnonzero((self.largest > 1.0) & ~self.spared)
         x, r = np.minimum(self.largest[begun], self.final[begun]), self.final[begun]
         xi = (x - 1.0) / (r - 1.0)
-        found[begun] = 2.0 * (r - 1.0) * self.curve.integral(xi) + 1.0 - x * self.curve.stress(xi)
+        found[begun] = 2.0 * (r - 1.0) * self.curves.integral(xi, begun) + 1.0 - x * self.curves.stress(xi, begun)
         return np.asarray(found * self.onset_energy)

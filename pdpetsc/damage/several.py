@@ -19,9 +19,12 @@ from pdpetsc.damage.criterion import (
 )
 from pdpetsc.damage.evolution import DamageEvolution
 from pdpetsc.damage.laws import BondDamage, Marking, bonds_at
+from pdpetsc.damage.point_damage import PointDamage, without_protected
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
 
@@ -29,24 +32,33 @@ from pdpetsc.errors import CaseError
 class DamageOf(Declared):
     """Damage by region and by pair of regions: each material its law, and each interface another.
 
+    The laws are of bonds, or all are ``PointDamage``.
+
     Parameters
     ----------
     regions : mapping of str to Region
         Names of parts of the body, such as those of its materials; every particle is in one of them.
-    laws : mapping of str or (str, str) to BondDamage or None
+    laws : mapping of str or (str, str) to BondDamage, PointDamage or None
         How bonds fail that have both ends in a region, or one in each of two, in either order; None for those that do
-        not. There is one for every name and every pair of names whose particles share a bond.
+        not. There is one for every name and every pair of names whose particles share a bond. Of ``PointDamage`` see
+        below.
     protected : Region, optional
-        Bonds with an end in it do not fail, besides those that a law protects among its own.
+        Bonds with an end in it, or points of particles in it, do not fail, besides those that a law protects among its
+        own.
 
     Raises
     ------
     CaseError
-        A name is not one of the regions, laws are missing or have different effects; in a case, particles are in no
-        region or several, or two share a bond for which there is no law.
+        A name is not one of the regions, laws are missing or have different effects or splits, or are of bonds and of
+        points; in a case, particles are in no region or several, or two share a bond for which there is no law.
 
     Notes
     -----
+    Points of particles obey the law of their region. If the family of a particle has members in another region and the
+    pair has a law, its points obey that of the pair; of several such pairs the first one in ``laws``. The points whose
+    families a crack along the interface cuts are then those of the pair, so that it takes the Gc of the pair. A pair
+    without a law changes nothing: both sides keep their own.
+
     A fracture energy means that of a plane through the material, or between the two: ``FractureEnergy`` and
     ``BondEnergy(Gc=...)`` see the stiffness of the bonds from both ends.
 
@@ -60,10 +72,16 @@ class DamageOf(Declared):
     ...     {"fibre": fibre, "matrix": ~fibre},
     ...     {"fibre": None, "matrix": brittle(0.1), ("fibre", "matrix"): brittle(0.01)},
     ... )
+    >>> matrix = pd.PointDamage(pd.softening.Linear(), Gc=0.1, strength=3.0)
+    >>> bond = pd.PointDamage(pd.softening.Exponential(), Gc=0.02, strength=1.0)
+    >>> damage = pd.DamageOf(
+    ...     {"fibre": fibre, "matrix": ~fibre},
+    ...     {"fibre": None, "matrix": matrix, ("fibre", "matrix"): bond},
+    ... )
     """
 
     regions: Mapping[str, Region]
-    laws: Mapping[str | tuple[str, str], BondDamage | None]
+    laws: Mapping[str | tuple[str, str], BondDamage | PointDamage | None]
     protected: Region | None = None
 
     def __post_init__(self) -> None:
@@ -80,19 +98,33 @@ class DamageOf(Declared):
         missing = [name for name in self.regions if frozenset([name]) not in seen]
         if missing:
             raise CaseError(f"DamageOf needs a law of {missing[0]!r}, or None where its bonds do not fail.")
-        if not self.all_laws:
+        if not self._given:
             raise CaseError("DamageOf needs a law; leave it out where no bond fails.")
+        if self.all_laws and self.point_laws:
+            raise CaseError("All laws in DamageOf need to be of bonds, or all PointDamage.")
+        if any(law.split != self.point_laws[0].split for law in self.point_laws):
+            raise CaseError("All laws in DamageOf need the same split.")
         if any(law.effect != self.effect for law in self.all_laws):
             raise CaseError("All laws in DamageOf need the same effect.")
 
     @property
-    def all_laws(self) -> list[BondDamage]:
-        """Return the laws, without the bonds that do not fail."""
+    def _given(self) -> list[BondDamage | PointDamage]:
+        """Return the laws, without the places that do not fail."""
         return [law for law in self.laws.values() if law is not None]
 
-    def rehearsed(self) -> BondDamage:
+    @property
+    def all_laws(self) -> list[BondDamage]:
+        """Return the laws of bonds."""
+        return [one for law in self._given for one in law.all_laws]
+
+    @property
+    def point_laws(self) -> list[PointDamage]:
+        """Return the laws of gradient points."""
+        return [one for law in self._given for one in law.point_laws]
+
+    def rehearsed(self) -> BondDamage | PointDamage:
         """Return damage of another body with which its loops can be compiled."""
-        return self.all_laws[0].rehearsed()
+        return self._given[0].rehearsed()
 
     @property
     def effect(self) -> DamageEvolution:
@@ -104,42 +136,67 @@ class DamageOf(Declared):
         """Return its regions with what they are."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
         found += [] if self.protected is None else [("What damage is protected from", self.protected)]
-        return found + [place for law in self.all_laws for place in law.places]
+        return found + [place for law in self._given for place in law.places]
 
     def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
         """Return the number in ``all_laws`` of the law of each bond (n_bonds,), -1 for none (collective)."""
         cloud, families = bonds.cloud, bonds.families
-        part, count = np.full(cloud.n_local, -1, dtype=np.int64), np.zeros(cloud.n_local, dtype=np.int64)
-        for number, (name, region) in enumerate(self.regions.items()):
-            marked = mark(region, f"region {name!r} of DamageOf")
-            part[marked] = number
-            count += marked
-        names = list(self.regions)
-        table = np.full((len(names), len(names)), -2, dtype=np.int64)
-        count_laws = 0
-        for key, law in self.laws.items():
-            pair = sorted(_pair(key))
-            one, other = names.index(pair[0]), names.index(pair[-1])
-            table[one, other] = table[other, one] = -1 if law is None else count_laws
-            count_laws += law is not None
+        part, (place, number) = self._parts(cloud, mark), self._table()
         with agreed(cloud.comm):
-            wrong = np.flatnonzero(count[: cloud.n_owned] != 1)
-            if len(wrong):
-                gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
-                raise CaseError(f"Particle {gid} is in {times} regions of DamageOf; let these cover it once.")
             first, second = part[families.centres], part[families.neighbours]
-            of_bond: GlobalIndex = table[first, second]
-            lacking = np.flatnonzero(of_bond == -2)
+            at = place[first, second]
+            lacking = np.flatnonzero(at == len(self.laws))
             if len(lacking):
+                names = list(self.regions)
                 pair = sorted({names[first[lacking[0]]], names[second[lacking[0]]]})
                 raise CaseError(
                     f"{_named(frozenset(pair)).capitalize()} share bonds, and DamageOf has no law for these; give one, "
                     f"or None where they do not fail."
                 )
-        for number, law in enumerate(self.all_laws):
-            of_bond[(of_bond == number) & bonds_at(law.protected, bonds, mark)] = -1
+        of_bond: GlobalIndex = number[at]
+        for law_number, law in enumerate(self.all_laws):
+            of_bond[(of_bond == law_number) & bonds_at(law.protected, bonds, mark)] = -1
         of_bond[bonds_at(self.protected, bonds, mark)] = -1
         return of_bond
+
+    def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
+        """Return the number in ``point_laws`` of the law of each own particle (n_owned,), -1 for none (collective)."""
+        part, (place, number) = self._parts(cloud, mark), self._table()
+        own = part[: cloud.n_owned]
+        at, names = place[own, own], list(self.regions)
+        for law, key in reversed(list(enumerate(self.laws))):  # the first one last
+            both = [part == names.index(name) for name in _pair(key)]
+            for here, there in zip(both, both[::-1], strict=True) if len(both) == 2 else []:
+                at[here[: cloud.n_owned] & families.with_any(there)] = law
+        return without_protected(number[at], self.point_laws, self.protected, mark)
+
+    def _parts(self, cloud: Cloud, mark: Marking) -> GlobalIndex:
+        """Return the number of the region of each local particle (n_local,) (collective)."""
+        part, count = np.full(cloud.n_local, -1, dtype=np.int64), np.zeros(cloud.n_local, dtype=np.int64)
+        for number, (name, region) in enumerate(self.regions.items()):
+            marked = mark(region, f"region {name!r} of DamageOf")
+            part[marked] = number
+            count += marked
+        with agreed(cloud.comm):
+            wrong = np.flatnonzero(count[: cloud.n_owned] != 1)
+            if len(wrong):
+                gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
+                raise CaseError(f"Particle {gid} is in {times} regions of DamageOf; let these cover it once.")
+        return part
+
+    def _table(self) -> tuple[GlobalIndex, GlobalIndex]:
+        """Return the place in ``laws`` of two regions (n_regions, n_regions), ``len(laws)`` for one that is missing.
+
+        Then the number of each law among those that fail (n_laws,), -1 for None.
+        """
+        names = list(self.regions)
+        place = np.full((len(names), len(names)), len(self.laws), dtype=np.int64)
+        for at, key in enumerate(self.laws):
+            pair = sorted(_pair(key))
+            one, other = names.index(pair[0]), names.index(pair[-1])
+            place[one, other] = place[other, one] = at
+        fails = np.array([law is not None for law in self.laws.values()])
+        return place, np.where(fails, np.cumsum(fails) - 1, -1)
 
 
 def _pair(key: str | tuple[str, str]) -> frozenset[str]:

@@ -23,7 +23,8 @@ class Split(Declared, ABC):
     body without stress across it counts with its strains in the plane and the moduli of plane stress.
     """
 
-    # Whether only materials with such an energy can have it.
+    # Whether it reads more of the strain than the dilatation: then only materials with such an energy can have it, and
+    # points that share dilatations cannot.
     exact: ClassVar[bool] = True
 
     def closed_part(self, material: Material) -> ClosedPart | None:
@@ -64,6 +65,8 @@ class Whole(Split):
     >>> import pdpetsc as pd
     >>> damage = pd.PointDamage(pd.softening.Linear(), Gc=0.1, strength=3.0, split=pd.split.Whole())
     """
+
+    exact: ClassVar[bool] = False
 
     def closed_part(self, material: Material) -> None:
         """Return None, for every material."""

@@ -513,4 +513,7 @@ def _put(array: KeptArray, cloud: Cloud, table: Float, what: str) -> None:
         there = np.isfinite(rows).all(axis=2).sum(axis=1)
         if not np.array_equal(there, counts):
             raise CaseError(f"Cannot read the checkpoint {what} is not of this body or not of numbers.")
+        if (rows < array.low).any() or (rows > array.high).any():
+            limits = f"{array.low:g} to {array.high:g}"
+            raise CaseError(f"Cannot read the checkpoint {what} is not in {limits}; restart from another one.")
     array.values[...] = rows[array.owner, _place(array)].reshape(array.values.shape)

@@ -71,6 +71,21 @@ class DamageModel(ABC):
         return False
 
     @property
+    def conduction_version(self) -> int:
+        """Return a number that grows whenever bonds or points conduct less heat, or more again (not collective)."""
+        return self.breaks
+
+    @property
+    def conducting_bonds(self) -> Float | None:
+        """Return the share of its conductivity that each bond has (n_bonds,) [-]; None for all (not collective)."""
+        return None
+
+    @property
+    def conducting_points(self) -> Float | None:
+        """Return that of each gradient point (n_points,) [-]; None for all (not collective)."""
+        return None
+
+    @property
     @abstractmethod
     def softens(self) -> bool:
         """Return whether force is lost gradually (not collective)."""
@@ -194,6 +209,11 @@ class Damage(DamageModel):
     def timed(self) -> bool:
         """Return whether the drive depends on time (not collective)."""
         return self.driving_variable.timed
+
+    @property
+    def conducting_bonds(self) -> Float:
+        """Return 1 for bonds that are not broken, else 0 (n_bonds,) (not collective)."""
+        return self.bonds.intact.astype(float)
 
     @property
     def softens(self) -> bool:

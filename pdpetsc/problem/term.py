@@ -30,6 +30,8 @@ class KeptArray:
         points) or none.
     values : (n, ...) float64
         Written and, when a run goes on, overwritten in place: the array that the term reads, not a copy.
+    low, high : float
+        A checkpoint with values below or above is refused.
 
     Raises
     ------
@@ -39,6 +41,8 @@ class KeptArray:
 
     owner: LocalIndex
     values: Float
+    low: float = -np.inf
+    high: float = np.inf
 
     def __post_init__(self) -> None:
         if len(self.owner) != len(self.values) or self.values.dtype != np.float64:

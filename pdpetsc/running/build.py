@@ -16,6 +16,8 @@ from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
+from pdpetsc.damage.laws import Marking
+from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -62,13 +64,13 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
+from pdpetsc.terms.degraded_patches import failing_points
 from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.lattice_bonds import LatticeBonds
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.mean_dilatation import material_points
-from pdpetsc.terms.tangent_scaled import control_forces
+from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
@@ -316,14 +318,8 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     if case.expands:
         if case.heat is not None:
             assert bonds is not None
-            failing = None if damage is None else damage.of_bonds
-            if damage is not None and failing is None:
-                raise CaseError(
-                    "Heat would flow through the cracks of PointDamage as if they were not there; declare temperatures "
-                    "with Temperature, or take a damage law of bonds, which conduct nothing when they are broken."
-                )
             operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
-            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, failing)
+            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
         field = None if heat is None else heat.field
         body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
     extra = []
@@ -358,7 +354,7 @@ def repeated_share(case: Case) -> float | None:
     Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
     than the family, controls that do not follow kappa, and bonds of several materials.
     """
-    if case.heat is not None or (case.damage is not None and not isinstance(case.damage, PointDamage)):
+    if case.heat is not None or (case.damage is not None and not case.damage.point_laws):
         return None
     if case.of_bonds:
         if case.expands:  # every bond has a length without force of its own
@@ -436,8 +432,8 @@ def _bonds(
     k = material_term.k
     if material_term.a is not None:  # what a bond stores depends on the others of its family
         k = materials.bond_stiffness(bonds, [one.E for one in materials.of_bonds])
-    assert not isinstance(case.damage, PointDamage)  # the case refuses it
-    damage = _failing(case.damage, body, bonds, k, material_term.finite, materials)
+    declared = cast(BondDamage | DamageOf, case.damage)  # the case refuses others
+    damage = _failing(declared, body, bonds, k, material_term.finite, materials)
     material_term.take_damage(damage)
     return material_term, [], damage
 
@@ -452,19 +448,22 @@ def _points(
         solve = partial(solve_scalar, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
-    if case.damage is not None and case.gradients.patches is not None:
-        raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
+    if case.damage is not None and not case.damage.point_laws and case.gradients.patches is not None:
+        raise CaseError(
+            "MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail, or PointDamage."
+        )
 
     def controlled(control: ZeroEnergyControl, stiffness: Stiffness) -> Control:
         return control.build(body.cloud, body.families, bonds.omega, stiffness)
 
-    if case.damage is None or isinstance(case.damage, PointDamage):
+    if case.damage is None or case.damage.point_laws:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
         return _terms_of_points(case, body, operator, controlled, materials)
     # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
     reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
     moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
-    damage = _failing(case.damage, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
+    declared = cast(BondDamage | DamageOf, case.damage)
+    damage = _failing(declared, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
     material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
     control = control_of(case)
     if control is None:
@@ -485,23 +484,20 @@ def _terms_of_points(
     control, built = control_of(case), None
     if control is not None:
         built = controlled(control, control.sees(stiffness_of(body, laws, index, factor)))
-    if not isinstance(case.damage, PointDamage):
+    if case.damage is None:
         material_term = material_points(case.gradients, body, operator, laws, index, factor)
         if control is None or built is None:
             return material_term, [], None
         return material_term, [control_forces(control, body, built, material_term)], None
-    if control is not None and control.least_share is not None:
-        raise CaseError(
-            f"{type(control).__name__} follows the tangent of the material, and the control of points that fail their "
-            f"degradation factor; give the control in it alone."
-        )
-    spared = np.zeros(body.cloud.n_owned, dtype=bool)
-    if case.damage.protected is not None:
-        spared = select(body.cloud, case.damage.protected, "what damage is protected from")
-    term = DegradedPoints(body, operator, laws, index, factor, case.damage, spared, built)
+    declared = cast(PointDamage | DamageOf, case.damage)
+    of_particle = declared.assign_particles(body.cloud, body.families, _marking(body))
+    damage_laws = AssignedPointDamage(declared.point_laws, of_particle)
+    failing = failing_points(case.gradients, body, operator, laws, index, factor, damage_laws)
     if control is None or built is None:
+        term = failing(None)
         return term, [], term
-    return term, [DegradedControl(body, type(control).__name__, built, term)], term
+    term, forces = degraded_control(control, body, built, failing)
+    return term, [forces], term
 
 
 def _failing(
@@ -516,6 +512,12 @@ def _failing(
             f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
             f"critical stretches by place with CriticalFunction, or a fracture energy."
         )
+    mark = _marking(body)
+    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
+
+
+def _marking(body: Body) -> Marking:
+    """Return what marks the local particles of a body in a region."""
 
     def mark(region: Region, what: str) -> Mask:
         marked = np.zeros(body.cloud.n_local)
@@ -523,7 +525,7 @@ def _failing(
         body.cloud.halo.forward(marked)
         return marked > 0.0
 
-    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
+    return mark
 
 
 def materials_of(case: Case, cloud: Cloud) -> OfParticles:

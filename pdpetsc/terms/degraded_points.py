@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.control.base import Control
-from pdpetsc.damage.point_damage import FailingPoints, PointDamage
+from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
@@ -29,6 +29,24 @@ MOST_LISTED = 4096
 # Share of its stiffness that a failed point, and the control of its particle, keep: what has come free stays where it
 # is, with forces far below those of what is whole.
 RESIDUAL = 1e-8
+# Directions in which Gc is checked, by dimension.
+FAN = {2: 36, 3: 200}
+
+
+class DrivingControl(Protocol):
+    """A zero-energy control as the points of its families read it (methods of ``Control``)."""
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles with their centre first."""
+        ...
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return the derivative of their energies by the displacements of their members (n_entries, dim) [force]."""
+        ...
+
+    def family_energy(self, u: Float) -> Float:
+        """Return the energy of the family of every own particle (n_owned,) [energy]."""
+        ...
 
 
 class Driven(NamedTuple):
@@ -61,11 +79,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
     ----------
     body, operator, materials, material_of, factor
         As for ``MaterialPoints``.
-    law : PointDamage
-        As declared.
-    spared : (n_owned,) bool
-        Particles whose points do not fail.
-    control : Control or None
+    damage_laws : AssignedPointDamage
+        As declared, with the law of each particle.
+    control : DrivingControl or None
         The zero-energy control of the intact body.
 
     Raises
@@ -80,24 +96,25 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
-        factor: Float | None, law: PointDamage, spared: Mask, control: Control | None,
+        factor: Float | None, damage_laws: AssignedPointDamage, control: DrivingControl | None,
     ) -> None:  # fmt: skip
         super().__init__(body, operator, materials, material_of, factor)
-        self.law, self._control = law, control
+        self.damage_laws, self._control = damage_laws, control
+        split = damage_laws.split
         with agreed(body.cloud.comm):
             E = np.array([material.young_modulus() for material in materials])
-            closed = [law.split.closed_part(material) for material in materials]
+            closed = [split.closed_part(material) for material in materials]
             varies = body.thermals is not None and any(one is not None and one.law for one in body.thermals)
             if varies and any(part is not None for part in closed):
                 raise CaseError(
-                    f"{type(law.split).__name__} is made once from each material, and a law of Thermal is another one "
+                    f"{type(split).__name__} is made once from each material, and a law of Thermal is another one "
                     f"at every temperature; take split=pd.split.Whole(), or a factor of the moduli."
                 )
             for material, part in zip(materials, closed, strict=True):
                 flows = type(material).plastic_strain is not Material.plastic_strain
                 if part is not None and flows and material.kind(body.dim) not in ("solid", "strain"):
                     raise CaseError(
-                        f"{type(law.split).__name__} reads the volume of a point, and in plane stress and in bars that "
+                        f"{type(split).__name__} reads the volume of a point, and in plane stress and in bars that "
                         f"of {type(material).__name__} changes as it flows; take split=pd.split.Whole()."
                     )
         kept = [part for part in closed if part is not None]
@@ -106,37 +123,48 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._soft = RESIDUAL * moduli[operator.owner]
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
-            onset_energy = law.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
-        self.points = FailingPoints(law.curve, onset_energy[operator.owner], spared[operator.owner])
+            onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
+        self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
         self._refuse_strength()
-        # The width of a family along the axes stands for that along the largest strain before there is any.
+        # The width of a family along the first axis stands for that along the largest strain before there is any.
         everything = np.arange(operator.n_points)
-        self.points.final[:] = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
+        final = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
+        self.points.final[:] = np.where(self.points.spared, 1.0, final)
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
 
     def _refuse_strength(self) -> None:
         """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
         points, cloud = self.points, self.body.cloud
-        reach = self.body.families.reach(cloud.x)[self.operator.owner]
-        place, comm, worst = cloud.x[self.operator.owner], cloud.comm, 0.0
-        for axis in np.eye(self.body.dim):
+        fails, comm = np.flatnonzero(~points.spared), cloud.comm
+        owner = self.operator.owner[fails]
+        reach, place = self._reach()[owner], cloud.x[owner]
+        # A function of the direction may be least off the axes.
+        fan, shares = _fan(self.body.dim) if self.damage_laws.varies else np.eye(self.body.dim)[:1], []
+        for along in fan:
             with agreed(comm):
-                Gc = self.law.crack_energy(place, np.tile(axis, (len(place), 1)))
-            share = 2.0 * reach * points.onset_energy / Gc
-            worst = max(worst, largest(comm, float(np.where(points.spared, 0.0, share).max(initial=0.0))))
+                Gc = self.damage_laws.crack_energy(owner, place, np.tile(along, (len(place), 1)))
+            share = 2.0 * reach * points.onset_energy[fails] / Gc
+            shares.append(largest(comm, float(share.max(initial=0.0))))
+        worst = max(shares)
         if worst >= 1.0:
-            horizon = self.body.cloud.horizon
-            what = "strength" if self.law.onset is None else "onset"
+            horizon, normal = cloud.horizon, ", ".join(f"{n:.2g}" for n in fan[shares.index(worst)])
+            what = "onset" if all(law.strength is None for law in self.damage_laws.laws) else "strength"
+            across = f" for a crack across ({normal})" if self.damage_laws.varies else ""
             raise CaseError(
                 f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
-                f"{horizon:g}; take a horizon below {horizon / worst:g}, or a lower {what}."
+                f"{horizon:g}{across}; take a horizon below {horizon / worst:g}, or a lower {what}."
             )
+
+    def _reach(self) -> Float:
+        """Return half of the largest width of a failing band at each own particle (n_owned,) [length]."""
+        return self.body.families.reach(self.body.cloud.x)
 
     def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
-            Gc = self.law.crack_energy(self.body.cloud.x[self.operator.owner[points]], along)
+            owner = self.operator.owner[points]
+            Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
             final = self.points.final_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
             if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
@@ -165,8 +193,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def name(self) -> str:
-        """Return the name of the law."""
-        return type(self.law).__name__
+        """Return the name of the laws."""
+        return type(self.damage_laws.laws[0]).__name__
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -201,6 +229,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     # What a damage model is asked.
 
     forces_have_energy = True
+    conduction_version = 0
+
+    @property
+    def conducting_points(self) -> Float:
+        """Return the degradation factors of the points (n_points,): failed ones insulate."""
+        return self.points.phi
 
     @property
     def softens(self) -> bool:
@@ -261,7 +295,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points = self.points
         before = points.phi.copy()
         points.largest[:], points.final[:], points.phi[:] = self._followed(state)
-        return largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
+        change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
+        self.conduction_version += change > 0.0
+        return change
 
     def keep(self, state: State) -> None:
         """Keep the damage at a converged state (not collective)."""
@@ -270,6 +306,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def revert(self) -> bool:
         """Take back what failed since the last ``keep``; no weights change."""
         self.points.revert()
+        self.conduction_version += 1
         return False
 
     def stored(self) -> tuple[Float, ...]:
@@ -279,12 +316,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
         self.points.phi[:], self.points.largest[:], self.points.final[:] = stored
+        self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
 
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
-        F = super().deformation(state)
+        return self._without_failed(super().deformation(state))
+
+    def _without_failed(self, F: Float) -> Float:
+        """Return gradients F (n_points, dim, dim) [-] with I at points that have failed if nothing is kept there."""
         failed = self.points.gone
         if self._closed is not None or not failed.any():
             return F
@@ -298,7 +339,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
-        P = self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+        P = self._degraded_stress(state)
         failed, soft, strain = self._residual(state)
         P[failed] += soft[:, None, None] * strain
         return P
@@ -306,11 +347,20 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def moduli_sets(self, state: State) -> Moduli:
         """Return ``phi A_open + A_closed``, damage held."""
         A = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
+        failed, residual = self._residual_moduli(state)
+        A[failed] += residual
+        return Moduli(A)
+
+    def _degraded_stress(self, state: State) -> Float:
+        """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress], a new array."""
+        return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+
+    def _residual_moduli(self, state: State) -> tuple[GlobalIndex, Float]:
+        """Return points that have failed at a state, and their moduli (n, dim, dim, dim, dim) [stress]."""
         failed, soft, _ = self._residual(state)
         one = np.eye(self.body.dim)
         symmetric = 0.5 * (np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one))
-        A[failed] += soft[:, None, None, None, None] * symmetric
-        return Moduli(A)
+        return failed, soft[:, None, None, None, None] * symmetric
 
     def point_energy(self, state: State) -> Float:
         """Return ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
@@ -343,6 +393,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         found: list[Product] = [PointProduct(self.operator, self.moduli_sets(state))]
         return found if self.frozen else [*found, self._softening(state)]
 
+    def _open_stress(self, state: State) -> Float:
+        """Return ``P_open`` (n_points, dim, dim) [stress], without damage."""
+        F = self.deformation(state)
+        P = self.laws(state).stress(F)
+        return P if self._closed is None else P - self._closed.laws(state).stress(F)
+
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
         points, driven = self.points, self.driven(state)
@@ -366,10 +422,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:
         """Return the particles that drive some points, and ``v = dY/du`` of each (n_entries, dim) [stress / length]."""
-        F, some = self.deformation(state), self.operator.at(points)
-        P = self.laws(state).stress(F)
-        if self._closed is not None:
-            P = P - self._closed.laws(state).stress(F)
+        P, some = self._open_stress(state), self.operator.at(points)
         v = np.einsum("eij,ej->ei", np.repeat(P[points], np.diff(some.point_ptr), axis=0), some.g)
         if self._control is None:
             return some, v
@@ -416,14 +469,19 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials, and what the points have lost."""
         points, owner = self.points, self.operator.owner
-        kept = {"phi": points.phi, "largest_drive": points.kappa, "final_drive": points.final}
-        return {**super().arrays(), **{name: KeptArray(owner, values) for name, values in kept.items()}}
+        return {
+            **super().arrays(),
+            "phi": KeptArray(owner, points.phi, 0.0, 1.0),
+            "largest_drive": KeptArray(owner, points.kappa, 0.0),
+            "final_drive": KeptArray(owner, points.final, 1.0),
+        }
 
     def restored(self) -> None:
         """Follow what has been read from a checkpoint (not collective)."""
         super().restored()
         self.points.largest[:] = self.points.kappa
         self.points.commit()
+        self.conduction_version += 1
 
 
 class DegradedControl(ControlForces):
@@ -455,6 +513,19 @@ class DegradedControl(ControlForces):
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
         """Return the data of its forces at a state."""
         return self.at(state).shared_gradient(operator)
+
+
+def _fan(dim: int) -> Float:
+    """Return unit vectors (n, dim) all around, of opposite ones one, the first along the first axis."""
+    if dim == 1:
+        return np.ones((1, 1))
+    if dim == 2:
+        angle = np.pi * np.arange(FAN[2]) / FAN[2]
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    z = np.arange(FAN[3]) / FAN[3]
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(FAN[3])  # the golden angle spreads them evenly
+    flat = np.sqrt(1.0 - z**2)
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
 def _places(of: StencilMembers, families: StencilMembers, n_local: int) -> GlobalIndex:

@@ -18,7 +18,7 @@ from pdpetsc.gradient.products import Product
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.thermal import Thermal
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.expansion import PrescribedTemperature, TemperatureField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -118,8 +118,8 @@ class Heat(Term):
         What conditions prescribe of it.
     entering : sequence of (condition, mask)
         Heat through facets of the surface or in own particles.
-    damage : Damage, optional
-        The bonds that fail.
+    damage : DamageModel, optional
+        The bonds or gradient points that fail. Broken bonds conduct nothing, points the degradation factor times k.
 
     Notes
     -----
@@ -132,7 +132,7 @@ class Heat(Term):
         self, body: Body, declared: HeatConduction, conducting: Conducting,
         operator: Callable[[], GradientOperator] | None, omega: Float, field: ConductedTemperature,
         held: PrescribedTemperature, entering: Sequence[tuple[HeatFlux | HeatSource | Convection, Mask]],
-        damage: Damage | None = None,
+        damage: DamageModel | None = None,
     ) -> None:  # fmt: skip
         self.body = body
         self.declared = declared
@@ -177,8 +177,8 @@ class Heat(Term):
 
     @property
     def broken(self) -> int:
-        """Return a number that grows whenever bonds break or mend (not collective)."""
-        return 0 if self._damage is None else self._damage.breaks
+        """Return a number that grows whenever damage changes what conducts (not collective)."""
+        return 0 if self._damage is None else self._damage.conduction_version
 
     @property
     def capacity(self) -> Float:
@@ -197,7 +197,9 @@ class Heat(Term):
         # Particles without a gradient have nothing but it.
         alone = np.zeros(self.body.cloud.n_owned, dtype=bool)
         alone[operator.owner[operator.volume == 0.0]] = True
-        strength = np.where(alone, max(G, CONTROL), G)
+        strength, left = np.where(alone, max(G, CONTROL), G), self._points_left
+        if left is not None:
+            strength = strength * operator.mean_over_points(left, len(alone))
         return K + self._control(strength) if strength.any() else K
 
     def sources(self, t: float) -> Float:
@@ -232,7 +234,7 @@ class Heat(Term):
         operator = self._operator()
         of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
         gradient = sum_by(of, local[operator.members, None] * operator.g, operator.n_points)
-        q = -np.einsum("pab,pb->pa", self.conducting.k[operator.owner], gradient)
+        q = -np.einsum("pab,pb->pa", self._conductivity(operator), gradient)
         return operator.mean_over_points(q, cloud.n_owned)
 
     def _of_gradient(self, operator: GradientOperator) -> csr_matrix:
@@ -240,16 +242,27 @@ class Heat(Term):
         n, dim = self.body.cloud.n_local, self.body.dim
         shape = (operator.n_points, n)
         G = [csr_matrix((operator.g[:, a], operator.members, operator.point_ptr), shape=shape) for a in range(dim)]
-        k = operator.volume[:, None, None] * self.conducting.k[operator.owner]
+        k = operator.volume[:, None, None] * self._conductivity(operator)
         parts = [
             G[a].T @ diags(k[:, a, b]) @ G[b] for a in range(dim) for b in range(dim) if a == b or np.any(k[:, a, b])
         ]
         return csr_matrix(sum(parts[1:], parts[0]))
 
+    def _conductivity(self, operator: GradientOperator) -> Float:
+        """Return the conductivity of the points of an operator (n_points, dim, dim), with their damage."""
+        k, left = self.conducting.k[operator.owner], self._points_left
+        return k if left is None else k * left[:, None, None]
+
+    @property
+    def _points_left(self) -> Float | None:
+        """Return the share of its conductivity that each gradient point has (n_points,); None for all."""
+        return None if self._damage is None else self._damage.conducting_points
+
     @property
     def _intact(self) -> Float:
         """Return 1 for bonds that are left and 0 for others (n_bonds,)."""
-        return np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
+        left = None if self._damage is None else self._damage.conducting_bonds
+        return np.ones(len(self._omega)) if left is None else left
 
     def _control(self, strength: Float) -> csr_matrix:
         """Return ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` as a matrix, over bonds that are left."""
@@ -319,7 +332,7 @@ def _differences(first: LocalIndex, second: LocalIndex, n: int) -> csr_matrix:
 def heat_of(
     declared: HeatConduction, body: Body, applied: Applied, thermals: Sequence[Thermal | None],
     material_of: LocalIndex, operator: Callable[[], GradientOperator] | None, omega: Float,
-    damage: Damage | None,
+    damage: DamageModel | None,
 ) -> Heat:  # fmt: skip
     """Return the conduction that a case declares, at its start (collective).
 

@@ -30,6 +30,8 @@ from pdpetsc.terms.material_points import MaterialPoints
 JUMP = 1.5
 # What a softened patch resists its mean dilatation with, over twice the shear modulus.
 SOFTER = 1.0
+# What it resists that with at least, as a share.
+LEAST = 1e-12
 
 
 class Shared(NamedTuple):
@@ -78,6 +80,13 @@ class PatchPoints(MaterialPoints):
     patches : Patches
         Which points share a dilatation.
 
+    Attributes
+    ----------
+    rest : (n_points,) float64
+        What the rest of the dilatation is resisted with, ``2 share mu`` [stress].
+    weight : (n_points,) float64
+        Share of each point in the volume of its patch [-].
+
     Raises
     ------
     CaseError
@@ -107,7 +116,7 @@ class PatchPoints(MaterialPoints):
         for one in self.materials:
             twice = twice_shear(one.material.moduli(dim))
             self.twice_shear[one.points] = twice if one.factor is None else twice * one.factor
-        self._rest = patches.share * self.twice_shear
+        self.rest = patches.share * self.twice_shear
         axes, _ = body_axes(cloud, body.families, body.families.bonds(cloud.x))
         grid = boxes(cloud.comm, cloud.x[: cloud.n_owned] @ axes.T, patches.edge)
         keys = np.column_stack([grid, material_of])
@@ -130,7 +139,7 @@ class PatchPoints(MaterialPoints):
         self.patch_of_point = number[patch_of][operator.owner]
         patch_owner = owner[order].astype(np.int32)
         self._n_patches = len(order)
-        self._weight = operator.volume / self._sum(operator.volume)[self.patch_of_point]
+        self.weight = operator.volume / self._sum(operator.volume)[self.patch_of_point]
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
         pairs = self.patch_of_point[point_of] * cloud.n_local + operator.members
         kept, self._slot = np.unique(pairs, return_inverse=True)
@@ -148,6 +157,11 @@ class PatchPoints(MaterialPoints):
         return self._patches.point_ptr, self._patches.members
 
     @property
+    def patches(self) -> StencilMembers:
+        """Return the particles of every patch with their families, its owner first and once more among the others."""
+        return self._patches
+
+    @property
     def within_families(self) -> bool:
         """Return False."""
         return False
@@ -159,7 +173,11 @@ class PatchPoints(MaterialPoints):
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
         F = self.point_gradient(state)
-        return state.kept(("shared", id(self.operator)), lambda: self._share(state, F, self._weight))
+        return state.kept(("shared", id(self.operator)), lambda: self._share(state, F, self.weight))
+
+    def shared_at(self, state: State, F: Float, volume: Float) -> Shared:
+        """Return other gradients F with the dilatations of patches, of points with other volumes (n_points,)."""
+        return self._share(state, F, volume / self._sum(volume)[self.patch_of_point])
 
     def _share(self, state: State, F: Float, weight: Float) -> Shared:
         """Return gradients of all points with the elastic dilatations of patches, means by weights (n_points,)."""
@@ -176,21 +194,33 @@ class PatchPoints(MaterialPoints):
 
     def response(self, state: State) -> Response:
         """Return the stresses at an admissible state."""
-        dim = self.body.dim
 
         def make() -> Response:
-            F, F_bar, missing = self.shared(state)
-            P_bar = self.laws(state).stress(F_bar)
-            work = np.einsum("pii->p", P_bar) if self._linear else np.einsum("pij,pij->p", P_bar, F_bar)
-            r = work / dim + self._rest * missing
-            lacking = self._sum(self._weight * r)[self.patch_of_point] - r
-            if self._linear:
-                return Response(P_bar, P_bar + lacking[:, None, None] * np.eye(dim), lacking)
-            scale = np.exp(missing / dim)[:, None, None]
-            turned = np.swapaxes(np.linalg.inv(F), 1, 2)
-            return Response(P_bar, scale * P_bar + lacking[:, None, None] * turned, lacking)
+            return self.respond(state, self.laws(state).stress(self.shared(state).F_bar), self.rest)
 
         return state.kept(("response", id(self.operator), self.version), make)
+
+    def respond(self, state: State, P_bar: Float, rest: Float) -> Response:
+        """Return the stresses at a state for those at ``F_bar`` (n_points, dim, dim) and what resists the rest."""
+        F, F_bar, missing = self.shared(state)
+        r = self.conjugate(F_bar, P_bar, rest * missing)
+        lacking = self._sum(self.weight * r)[self.patch_of_point] - r
+        scale, by_F = self.dilatation_by_F(F, missing)
+        return Response(P_bar, scale[:, None, None] * P_bar + lacking[:, None, None] * by_F, lacking)
+
+    def conjugate(self, F_bar: Float, P_bar: Float, rest: Float) -> Float:
+        """Return the derivative r of the energy density by ``<theta> - theta`` (n,) at constant F [stress].
+
+        ``rest`` (n,) is that of what resists the rest of the dilatation.
+        """
+        work = np.einsum("pii->p", P_bar) if self._linear else np.einsum("pij,pij->p", P_bar, F_bar)
+        return np.asarray(work / self.body.dim + rest)
+
+    def dilatation_by_F(self, F: Float, missing: Float) -> tuple[Float, Float]:
+        """Return ``F_bar / F`` (n,), 1 if linear, and the derivative of ``theta`` by F (n, dim, dim)."""
+        if self._linear:
+            return np.ones(len(F)), np.broadcast_to(np.eye(self.body.dim), F.shape)
+        return np.exp(missing / self.body.dim), np.swapaxes(np.linalg.inv(F), 1, 2)
 
     def deformation(self, state: State) -> Float:
         """Return ``F_bar`` (n_points, dim, dim) [-], what materials see."""
@@ -206,12 +236,12 @@ class PatchPoints(MaterialPoints):
 
     def point_energy(self, state: State) -> Float:
         """Return ``psi_p + share mu (<theta> - theta_p)^2`` (n_points,) [energy / volume]."""
-        return np.asarray(super().point_energy(state) + 0.5 * self._rest * self.shared(state).missing ** 2)
+        return np.asarray(super().point_energy(state) + 0.5 * self.rest * self.shared(state).missing ** 2)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
-        shared = self._share(state, F, volume / self._sum(volume)[self.patch_of_point])
-        return np.asarray(self.laws(state).energy(shared.F_bar) + 0.5 * self._rest * shared.missing**2)
+        shared = self.shared_at(state, F, volume)
+        return np.asarray(self.laws(state).energy(shared.F_bar) + 0.5 * self.rest * shared.missing**2)
 
     def energy_by_strain(self, state: State) -> Float:
         """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
@@ -233,30 +263,41 @@ class PatchPoints(MaterialPoints):
 
     def linearise(self, state: State) -> list[Product]:
         """Return the tangent of points that keep their mean dilatation, and those of the patches."""
+        return self.products(state, self.response(state), self.laws(state).moduli(self.shared(state).F_bar), self.rest)
+
+    def products(
+        self, state: State, response: Response, moduli: Float, rest: Float,
+        own: tuple[GlobalIndex, Float] | None = None,
+    ) -> list[Product]:  # fmt: skip
+        """Return the tangent of a response whose stress at ``F_bar`` has moduli (n_points, dim, dim, dim, dim).
+
+        ``own`` are some points and what their stress has of moduli at their own gradient besides.
+        """
         dim, linear = self.body.dim, self._linear
-        F, F_bar, missing = self.shared(state)
-        P_bar, _, lacking = self.response(state)
-        A = self.laws(state).moduli(F_bar)
-        scale = np.ones(len(F)) if linear else np.exp(missing / dim)
+        F, _, missing = self.shared(state)
+        P_bar, _, lacking = response
+        scale, B = self.dilatation_by_F(F, missing)
         seen = np.broadcast_to(np.eye(dim), F.shape) if linear else F
-        B = np.array(np.broadcast_to(np.eye(dim), F.shape)) if linear else np.swapaxes(np.linalg.inv(F), 1, 2)
-        A *= (scale**2)[:, None, None, None, None]
+        A = moduli * (scale**2)[:, None, None, None, None]
         right, left = np.einsum("pimkn,pkn->pim", A, seen), np.einsum("pim,pimkn->pkn", seen, A)
         if not linear:
             right += scale[:, None, None] * P_bar
             left += scale[:, None, None] * P_bar
-        k = np.einsum("pim,pim->p", left, seen) / dim**2 + self._rest
+        k = np.einsum("pim,pim->p", left, seen) / dim**2 + rest
         A -= np.einsum("pim,pkn->pimkn", right / dim, B) + np.einsum("pim,pkn->pimkn", B, left / dim)
         A += np.einsum("p,pim,pkn->pimkn", k, B, B)
         if not linear:
             A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
-        w, volume = self._weight, self._sum(self.operator.volume)
+        if own is not None:
+            A[own[0]] += own[1]
+        w, volume = self.weight, self._sum(self.operator.volume)
         b = self.vectors(w[:, None, None] * B)
         s_right = self.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
         s_left = self.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
         stiff = self._sum(w * k)
         # Softened, a patch resists its mean dilatation as it resists shear.
-        soft = np.minimum(stiff, SOFTER * self._sum(w * self.twice_shear))
+        shear = SOFTER * self._sum(w * self.twice_shear)
+        soft = np.clip(stiff, LEAST * shear, shear)
         s_left += np.repeat(soft, np.diff(self._patches.point_ptr))[:, None] * b
         patches = self._patches, self.body.cloud.n_owned
         return [

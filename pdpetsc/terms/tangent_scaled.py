@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.control.base import Control, ZeroEnergyControl
-from pdpetsc.control.tangent_scaled import Yielding
+from pdpetsc.control.tangent_scaled import Yielding, YieldingFamilies
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.problem.body import Body
@@ -18,6 +18,7 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
+from pdpetsc.terms.degraded_points import RESIDUAL, DegradedControl, DegradedPoints, DrivingControl
 from pdpetsc.terms.material_points import MaterialPoints
 
 
@@ -140,6 +141,61 @@ class TangentScaledForces(ControlForces):
 
     def _fading(self, state: State) -> Float | None:
         return None if self.damage is None else self._effect.fading(self.damage.phi(state))
+
+
+class DegradedTangentScaled(TangentScaledForces):
+    """A control that yields with the material and loses its stiffness with the points of its particle.
+
+    Its energy is ``sum_i share_i U_i(e_i)`` with the energies ``U_i`` of the families that yield, and ``share_i`` the
+    mean degradation factor of the points of the particle.
+
+    Parameters
+    ----------
+    body, name, least
+        As for ``TangentScaledForces``.
+    families : YieldingFamilies
+        What drives the points.
+    points : DegradedPoints
+        The material that it follows, and what degrades it.
+    """
+
+    def __init__(self, body: Body, name: str, families: YieldingFamilies, points: DegradedPoints, least: float) -> None:
+        super().__init__(body, name, families.control, points, least)
+        self._points, self._yielding = points, families.yielding
+
+    def at(self, state: State) -> Control:
+        """Return the control with the secant stiffness and the degradation factor of each particle at a state."""
+        points = self._points
+        key = "degraded control", self.version, points.version, points.frozen
+        return state.kept(key, lambda: self.families(state).secant.scaled(self._left(state)))
+
+    def energy(self, state: State) -> float:
+        """Return the energy of the control, with what its yielding has lost, that damage has left."""
+        return float(self._left(state) @ self._yielding.energy(self.families(state).e))
+
+    def linearise(self, state: State) -> list[Product]:
+        """Return the secant and ``share_i b_i m_i (x) m_i`` of the families, damage held."""
+        families = self.families(state)
+        bend = self._left(state) * self._yielding.bend(families.e)
+        n = self.body.cloud.n_owned
+        return [self.at(state), RankOneProduct(self._members, n, families.forces, families.forces, bend)]
+
+    def _left(self, state: State) -> Float:
+        """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
+        return np.maximum(self._points.share(state), RESIDUAL)
+
+
+def degraded_control(
+    declared: ZeroEnergyControl, body: Body, control: Control, points: Callable[[DrivingControl], DegradedPoints]
+) -> tuple[DegradedPoints, ControlForces]:
+    """Return points that fail, made by a function of the control that drives them, and the term of that control."""
+    name = type(declared).__name__
+    if declared.least_share is None:
+        term = points(control)
+        return term, DegradedControl(body, name, control, term)
+    families = YieldingFamilies(control, Yielding.unloaded(body.cloud.n_owned))
+    term = points(families)
+    return term, DegradedTangentScaled(body, name, families, term, declared.least_share)
 
 
 def control_forces(

@@ -17,6 +17,7 @@ from point_damage import CURVES, damage_of_ratio
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood, combine
+from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -78,7 +79,8 @@ def share_of_points(curve, ratio=5.0, horizon=3.015, steps=301, dx=0.5, G=2.0):
     built = control.build(body.cloud, body.families, bonds.omega, stiffness_of(body, materials, one, None))
     operator = pd.Correspondence().build(body.cloud, body.families, bonds.omega)
     law = damage_of_ratio(curve, materials[0], GC, ratio, horizon * dx, dx)
-    term = DegradedPoints(body, operator, materials, one, None, law, np.zeros(body.cloud.n_owned, dtype=bool), built)
+    laws = AssignedPointDamage([law], np.zeros(body.cloud.n_owned, dtype=np.int64))
+    term = DegradedPoints(body, operator, materials, one, None, laws, built)
     problem = Problem(body, term, [DegradedControl(body, type(control).__name__, built, term)], Supports(body), term)
     # Drives are proportional to the opening: from the first onset to the last point that fails.
     apart = opened(body)

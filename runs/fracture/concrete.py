@@ -1,6 +1,7 @@
 """What the concrete cases share: bonds that soften as concrete does, beams in three-point bending, and results."""
 
 import numpy as np
+import point_damage
 
 import pdpetsc as pd
 
@@ -51,13 +52,8 @@ def of_points(E, nu, strength, Gf, G, curve, protected):
 
     ``G`` is the coefficient of Silling's control [-].
     """
-    return {
-        "material": pd.LinearElastic(E, nu, plane="stress"),
-        "scheme": pd.Correspondence(),
-        "control": pd.Silling(G),
-        "weights": pd.Standard(),
-        "damage": pd.PointDamage(curve, Gc=Gf, strength=strength, protected=protected),
-    }
+    damage = pd.PointDamage(curve, Gc=Gf, strength=strength, protected=protected)
+    return point_damage.body(pd.LinearElastic(E, nu, plane="stress"), damage, G)
 
 
 def bent_beam(

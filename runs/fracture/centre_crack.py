@@ -160,7 +160,11 @@ def kink(turn):
     It runs where the hoop stress about its tip is largest.
     """
     opening, sliding = np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)
-    t = 0.0 if sliding == 0.0 else 2.0 * np.arctan((opening - np.hypot(opening, np.sqrt(8.0) * sliding)) / (4.0 * sliding))
+    t = (
+        0.0
+        if sliding == 0.0
+        else 2.0 * np.arctan((opening - np.hypot(opening, np.sqrt(8.0) * sliding)) / (4.0 * sliding))
+    )
     return t, np.cos(0.5 * t) ** 2 * (opening * np.cos(0.5 * t) - 3.0 * sliding * np.sin(0.5 * t))
 
 

@@ -87,8 +87,8 @@ def bent_beam(
         Poisson's ratio and coefficient of the zero-energy control where gradient points fail [-].
 
     Results: ``peak_load``, ``opening_at_peak``, the loads that were asked for, ``dissipated``, what the laws have taken
-    over the fracture energy of the ligament, ``last_load`` over the peak; with the damage ``"point"`` also ``work``, all
-    of it over the fracture energy of the ligament.
+    over the fracture energy of the ligament, ``last_load`` over the peak; with the damage ``"point"`` also ``work``
+    over the fracture energy of the ligament.
     """
     points = pd.choose("damage", damage, {"bonds": False, "point": True})
     length, depth, width = size

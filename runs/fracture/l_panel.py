@@ -90,7 +90,9 @@ def case(
             "rise": Rise(0.9 if points else 0.3),
             "dissipated": pd.DissipatedEnergy(),
             "work": pd.ExternalWork(),
-            **({"stored": pd.StrainEnergy(), "control": pd.ControlEnergy()} if points else {"broken": pd.BrokenBonds()}),
+            **(
+                {"stored": pd.StrainEnergy(), "control": pd.ControlEnergy()} if points else {"broken": pd.BrokenBonds()}
+            ),
         },
         results=results,
         fields=[pd.displacement, pd.local_damage],

@@ -38,7 +38,8 @@ class Asymmetry(pd.Quantity):
 
 def case(
     nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
-    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard", damage="bonds", curve="linear", Gc=20.0,
+    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard", damage="bonds",
+    curve="linear", Gc=20.0,
 ):  # fmt: skip
     dx = LENGTH / nx
     layer = horizon * dx

@@ -31,19 +31,22 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
     area = np.sqrt(2.0) * SIDE * (SIDE - NOTCH)
     beam = pd.region.Box((-1.0, -half, -half), (LENGTH + 1.0, half, half))
     grips = pd.region.Slab("x", high=frame) | pd.region.Slab("x", low=LENGTH - frame)
-    level = pd.region.Slab("z", low=-1.01 * dx, high=1.01 * dx)
-    left, right = pd.region.Slab("x", high=frame), pd.region.Slab("x", low=LENGTH - frame)
-    # The corners of the frames, on both sides of the axis.
-    plus, minus = (
-        level & pd.region.Slab("y", **{side: sign * (over - 1.01 * dx)}) for side, sign in (("low", 1.0), ("high", -1.0))
-    )
+    # The corners of the frames: one particle each, about the middle of their length and depth.
+    corners = {
+        (end, side): pd.region.Nearest((x + 0.5 * dx, side * (over - 0.5 * dx), 0.5 * dx))
+        for end, x in (("left", 0.5 * frame), ("right", LENGTH - 0.5 * frame))
+        for side in (-1.0, 1.0)
+    }
+    loaded = corners["right", 1.0]
     # Between rows of particles, of which one is on the diagonal itself.
     across, along = 0.5 * (LENGTH + dx), np.sqrt(0.5)
     lips = [
         pd.region.Where(
-            lambda x, side=side: (np.abs(x[:, 2] - half) < dx)
-            & (np.hypot(x[:, 0] - across, x[:, 1]) < 2.5 * dx)
-            & (side * (x[:, 0] - across - x[:, 1]) > 0.0)
+            lambda x, side=side: (
+                (np.abs(x[:, 2] - half) < dx)
+                & (np.hypot(x[:, 0] - across, x[:, 1]) < 2.5 * dx)
+                & (side * (x[:, 0] - across - x[:, 1]) > 0.0)
+            )
         )
         for side in (-1.0, 1.0)
     ]
@@ -52,7 +55,8 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
         force = load * np.array(h["t"])
         peak = int(np.argmax(force))
         opening = along * sum(
-            sign * (np.array(h[f"{side}_x"]) - np.array(h[f"{side}_y"])) for sign, side in ((1.0, "front"), (-1.0, "back"))
+            sign * (np.array(h[f"{side}_x"]) - np.array(h[f"{side}_y"]))
+            for sign, side in ((1.0, "front"), (-1.0, "back"))
         )
         return {
             "peak_load": force[peak],
@@ -62,25 +66,20 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
             "dissipated": h["dissipated"][-1] / (area * Gc),
         }
 
-    corner = (SIDE, 2.0 * SIDE)
-    notch = [
-        (across + y, y, z)
-        for y, z in ((-corner[0], half - NOTCH), (corner[0], half - NOTCH), (corner[0], corner[1]), (-corner[0], corner[1]))
-    ]
+    wide, low = 2.0 * SIDE, half - NOTCH
+    notch = [(across + y, y, z) for y, z in ((-wide, low), (wide, low), (wide, wide), (-wide, wide))]
     concrete, steel = pd.LinearElastic(E, NU), pd.LinearElastic(STEEL, 0.3)
     damage = pd.PointDamage(pd.softening.Exponential(), Gc=Gc, strength=strength, protected=grips | ~beam)
     return pd.Case(
-        particles=pd.Lattice(
-            (0.0, -over, -half), (LENGTH, over, half), dx, keep=beam | grips
-        ),
+        particles=pd.Lattice((0.0, -over, -half), (LENGTH, over, half), dx, keep=beam | grips),
         horizon=delta,
         **point_damage.body([(grips, steel), (~grips, concrete)], damage, G),
         cracks=[pd.PolygonCrack(notch)],
         conditions=[
-            pd.Displacement(left & plus, z=0.0, x=0.0),
-            pd.Displacement(left & minus, z=0.0, y=0.0),
-            pd.Displacement(right & minus, z=0.0),
-            pd.Force(right & plus, z=-load),
+            pd.Displacement(corners["left", 1.0], x=0.0, z=0.0),
+            pd.Displacement(corners["left", -1.0], x=0.0, y=0.0, z=0.0),
+            pd.Displacement(corners["right", -1.0], z=0.0),
+            pd.Force(loaded, z=-load),
         ],
         solver=pd.PathFollowing(pd.Opening("x", lips[1], against=lips[0], step=step, end=end), until=0.05),
         history={
@@ -89,7 +88,7 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
                 for name, side in zip(("back", "front"), lips, strict=True)
                 for axis in "xy"
             },
-            "deflection": pd.Mean(pd.displacement, "z", right & plus),
+            "deflection": pd.Mean(pd.displacement, "z", loaded),
             **point_damage.energies(),
         },
         results=results,

@@ -88,7 +88,9 @@ def case(
             "material": pd.Thermal(
                 pd.BondBased(E=E, plane="stress"), ALPHA, reference=hot, conductivity=CONDUCTIVITY, capacity=CAPACITY
             ),
-            "damage": pd.Brittle(pd.CriticalFunction(lambda length, middle: critical * (1.0 + scatter * noise(middle)))),
+            "damage": pd.Brittle(
+                pd.CriticalFunction(lambda length, middle: critical * (1.0 + scatter * noise(middle)))
+            ),
             "heat": pd.HeatConduction(duration=time),
         }
     # Time runs with the square of the load parameter, as the cold goes deeper with the root of time.

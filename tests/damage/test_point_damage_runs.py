@@ -9,6 +9,7 @@ from tests.commands import ROOT, results
 from tests.damage.test_fracture import hinge_peak
 
 sys.path.append(str(ROOT / "runs/fracture"))
+import centre_crack
 import point_damage
 import separation
 
@@ -19,6 +20,13 @@ def test_halves_that_are_pulled_apart_take_the_declared_energy(curve, horizon):
     work, rest = separation.share_of_points(curve, horizon=horizon)
     assert work == pytest.approx(1.0, abs=2e-3)
     assert rest == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_slanted_crack_kinks_by_the_largest_hoop_stress():
+    """Under pure sliding by 70.5 degrees, at 45 degrees by 53.1 (Erdogan and Sih)."""
+    assert centre_crack.kink(0.0) == (0.0, 1.0)
+    assert np.degrees(centre_crack.kink(np.radians(45.0))[0]) == pytest.approx(-53.13, abs=0.01)
+    assert np.degrees(centre_crack.kink(np.radians(89.99))[0]) == pytest.approx(-70.5, abs=0.1)
 
 
 @pytest.mark.long

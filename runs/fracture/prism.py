@@ -19,7 +19,7 @@ E, NU, GC = 1000.0, 0.2, 0.1
 def case(n=8, horizon=2.015, G=2.0, curve="linear", strength=2.5, pull=0.2, steps=30):
     dx = DEPTH / n
     area = 0.25 * DEPTH**2
-    grips = 3.0 * horizon * dx
+    grips = horizon * dx
     low, high = pd.region.Slab("x", high=1.01 * dx), pd.region.Slab("x", low=LENGTH - 1.01 * dx)
     held = pd.region.Slab("x", high=grips) | pd.region.Slab("x", low=LENGTH - grips)
     curves = pd.choose("curve", curve, point_damage.CURVES)

@@ -45,7 +45,7 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
             lambda x, side=side: (
                 (np.abs(x[:, 2] - half) < dx)
                 & (np.hypot(x[:, 0] - across, x[:, 1]) < 2.5 * dx)
-                & (side * (x[:, 0] - across - x[:, 1]) > 0.0)
+                & (side * (x[:, 0] - across + x[:, 1]) > 0.0)
             )
         )
         for side in (-1.0, 1.0)
@@ -55,7 +55,7 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
         force = load * np.array(h["t"])
         peak = int(np.argmax(force))
         opening = along * sum(
-            sign * (np.array(h[f"{side}_x"]) - np.array(h[f"{side}_y"]))
+            sign * (np.array(h[f"{side}_x"]) + np.array(h[f"{side}_y"]))
             for sign, side in ((1.0, "front"), (-1.0, "back"))
         )
         return {
@@ -67,7 +67,7 @@ def case(n=8, horizon=2.015, G=0.5, step=0.01, end=0.4, strength=STRENGTH, Gc=GC
         }
 
     wide, low = 2.0 * SIDE, half - NOTCH
-    notch = [(across + y, y, z) for y, z in ((-wide, low), (wide, low), (wide, wide), (-wide, wide))]
+    notch = [(across - y, y, z) for y, z in ((-wide, low), (wide, low), (wide, wide), (-wide, wide))]
     concrete, steel = pd.LinearElastic(E, NU), pd.LinearElastic(STEEL, 0.3)
     damage = pd.PointDamage(pd.softening.Exponential(), Gc=Gc, strength=strength, protected=grips | ~beam)
     return pd.Case(

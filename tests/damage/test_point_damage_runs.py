@@ -1,6 +1,7 @@
 """Case files with damage at gradient points: energies, loads and openings against references that know no horizon."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from tests.damage.test_fracture import hinge_peak
 
 sys.path.append(str(ROOT / "runs/fracture"))
 import centre_crack
+import gregoire_beam
+import mixed_mode_beam
 import point_damage
 import separation
 
@@ -20,6 +23,14 @@ def test_halves_that_are_pulled_apart_take_the_declared_energy(curve, horizon):
     work, rest = separation.share_of_points(curve, horizon=horizon)
     assert work == pytest.approx(1.0, abs=2e-3)
     assert rest == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("beam, n", [(gregoire_beam, 20), (gregoire_beam, 15), (mixed_mode_beam, 16)])
+def test_the_ends_of_a_bent_beam_turn(beam, n):
+    """Two particles that are held side by side would clamp them."""
+    case = beam.case(n=n, damage="point")
+    view = SimpleNamespace(x=case.particles.chunk(0, 1).x, minimum=float)
+    assert [np.count_nonzero(held.region.mask(view)) for held in case.conditions[:2]] == [1, 1]
 
 
 def test_a_slanted_crack_kinks_by_the_largest_hoop_stress():

@@ -20,7 +20,8 @@ event-driven solver finds the peak exactly, ``solver=path`` follows the crack wi
 With ``damage=point`` the gradient points of the strip fail (``pd.PointDamage`` by a softening ``curve``), with
 correspondence and ``Silling(G)``, standard weights, Poisson's ratio 0.3, the same fracture energy, and a strength for
 which the strain without stress is ``ratio`` times that at the onset of damage. The path is followed by the opening of
-the middle of the crack, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith`` and ``ratio`` as
+the middle of the crack, in steps of ``step`` to ``end`` [mm]; with ``solver=newton`` the strip is pulled in 20 steps,
+and the crack jumps. Results: ``peak_stress``, ``griffith`` and ``ratio`` as
 above; ``strength`` [MPa]; ``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets
 small; ``balance``, work over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many
 degrees; ``griffith`` is then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) =
@@ -44,7 +45,8 @@ def case(
     plane="stress", angle=0.0, damage="bonds", curve="linear", ratio=5.0, G=2.0, step=0.003, end=0.08,
 ):  # fmt: skip
     if pd.choose("damage", damage, {"bonds": False, "point": True}):
-        return of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, np.radians(angle))
+        path = pd.choose("solver", solver, {"events": True, "path": True, "newton": False})
+        return of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, np.radians(angle), path)
     if law == "none":
         return measured(n, horizon, a, scheme, plane, angle)
     return broken(n, horizon, a, pull, calibration, law, solver)
@@ -185,7 +187,7 @@ class Turn(pd.Quantity):
         return float(np.degrees(np.arctan2(sums[1], sums[0]))) if sums.any() else float("nan")
 
 
-def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn):
+def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path):
     """Return the strip whose gradient points fail."""
     dx = WIDTH / n
     delta = horizon * dx
@@ -227,7 +229,11 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn):
         **point_damage.body(material, damage, G),
         cracks=[pd.Segment(*tips)],
         conditions=[pd.Displacement(low, x=0.0, y=0.0), pd.Displacement(high, x=0.0, y=pull)],
-        solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
+        **(
+            {"solver": pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end))}
+            if path
+            else {"steps": pd.Steps(20)}
+        ),
         history={
             "force": pd.Reaction("y", high),
             "displacement": pd.Mean(pd.displacement, "y", high),

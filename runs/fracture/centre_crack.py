@@ -20,12 +20,19 @@ event-driven solver finds the peak exactly, ``solver=path`` follows the crack wi
 With ``damage=point`` the gradient points of the strip fail (``pd.PointDamage`` by a softening ``curve``), with
 correspondence and ``Silling(G)``, standard weights, Poisson's ratio 0.3, the same fracture energy, and a strength for
 which the strain without stress is ``ratio`` times that at the onset of damage. The path is followed by the opening of
-the middle of the crack, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith`` and ``ratio`` as
-above; ``strength`` [MPa]; ``balance``, work over what is stored and dissipated at the end.
+the middle of the crack, in steps of ``step`` to ``end`` [mm]; with ``solver=newton`` the strip is pulled in 20 steps,
+and the crack jumps. Results: ``peak_stress``, ``griffith`` and ``ratio`` as
+above; ``strength`` [MPa]; ``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets
+small; ``balance``, work over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many
+degrees; ``griffith`` is then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) =
+sqrt(E Gc)`` with the exact factors above, without those of the strip, ``turn`` the angle between the crack and the
+points that have failed beyond its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from point_damage import damage_of_ratio
+import point_damage
 
 import pdpetsc as pd
 
@@ -38,7 +45,8 @@ def case(
     plane="stress", angle=0.0, damage="bonds", curve="linear", ratio=5.0, G=2.0, step=0.003, end=0.08,
 ):  # fmt: skip
     if pd.choose("damage", damage, {"bonds": False, "point": True}):
-        return of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end)
+        path = pd.choose("solver", solver, {"events": True, "path": True, "newton": False})
+        return of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, np.radians(angle), path)
     if law == "none":
         return measured(n, horizon, a, scheme, plane, angle)
     return broken(n, horizon, a, pull, calibration, law, solver)
@@ -148,7 +156,38 @@ def griffith_stress(a, modulus):
     return np.sqrt(modulus * GC / (np.pi * a / np.cos(np.pi * a / WIDTH)))
 
 
-def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end):
+def kink(turn):
+    """Return the angle by which a crack turned by ``turn`` runs on, and its ``K / sqrt(pi a)`` under unit stress there.
+
+    It runs where the hoop stress about its tip is largest.
+    """
+    opening, sliding = np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)
+    t = (
+        0.0
+        if sliding == 0.0
+        else 2.0 * np.arctan((opening - np.hypot(opening, np.sqrt(8.0) * sliding)) / (4.0 * sliding))
+    )
+    return t, np.cos(0.5 * t) ** 2 * (opening * np.cos(0.5 * t) - 3.0 * sliding * np.sin(0.5 * t))
+
+
+@dataclass(frozen=True)
+class Turn(pd.Quantity):
+    """Angle between a direction and the middle of the failed points one to five horizons beyond a tip [degrees]."""
+
+    tip: tuple[float, float]
+    ahead: tuple[float, float]
+    horizon: float
+
+    def evaluate(self, solution):
+        at = solution.x - self.tip
+        along, across = at @ self.ahead, at @ (-self.ahead[1], self.ahead[0])
+        far = np.hypot(*at.T) / self.horizon
+        failed = (pd.local_damage(solution) > 0.9) & (along > 0.0) & (far > 1.0) & (far < 5.0)
+        sums = solution.sum(np.array([along[failed].sum(), across[failed].sum()]))
+        return float(np.degrees(np.arctan2(sums[1], sums[0]))) if sums.any() else float("nan")
+
+
+def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path):
     """Return the strip whose gradient points fail."""
     dx = WIDTH / n
     delta = horizon * dx
@@ -162,39 +201,45 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end):
         )
         for side in (dx, -dx)
     )
-    griffith = griffith_stress(a, plane_modulus(plane))
+    modulus, ahead = plane_modulus(plane), (float(np.cos(turn)), float(np.sin(turn)))
+    kinked, factor = kink(turn)
+    griffith = griffith_stress(a, modulus) if turn == 0.0 else np.sqrt(modulus * GC / (np.pi * a)) / factor
+    # Off the middle a line at 45 degrees runs between the particles, not through them.
+    off = 0.25 * dx * (turn != 0.0)
+    tips = [(middle[0] + off + side * a * ahead[0], middle[1] - off + side * a * ahead[1]) for side in (-1.0, 1.0)]
     material = pd.LinearElastic(E, NU, plane=pd.choose("plane", plane, {"stress": "stress", "strain": "strain"}))
-    damage = damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=ends)
+    damage = point_damage.damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=ends)
 
     def results(h):
         peak = max(h["force"]) / WIDTH
+        turns = {"turn": h["turn"][-1], "turn_exact": float(np.degrees(kinked))}
         return {
             "peak_stress": peak,
             "griffith": griffith,
             "ratio": peak / griffith,
             "strength": damage.strength,
+            "cohesive_length": E * GC / damage.strength**2 / a,
             "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
+            **({} if turn == 0.0 else {name: value for name, value in turns.items() if np.isfinite(value)}),
         }
 
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
         horizon=delta,
-        material=material,
-        scheme=pd.Correspondence(),
-        weights=pd.Standard(),
-        control=pd.Silling(G),
-        cracks=[pd.Segment((middle[0] - a, middle[1]), (middle[0] + a, middle[1]))],
-        damage=damage,
+        **point_damage.body(material, damage, G),
+        cracks=[pd.Segment(*tips)],
         conditions=[pd.Displacement(low, x=0.0, y=0.0), pd.Displacement(high, x=0.0, y=pull)],
-        solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
+        **(
+            {"solver": pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end))}
+            if path
+            else {"steps": pd.Steps(20)}
+        ),
         history={
             "force": pd.Reaction("y", high),
             "displacement": pd.Mean(pd.displacement, "y", high),
-            "dissipated": pd.DissipatedEnergy(),
-            "stored": pd.StrainEnergy(),
-            "control": pd.ControlEnergy(),
-            "work": pd.ExternalWork(),
-            "tip": pd.CrackTip((1.0, 0.0)),
+            "tip": pd.CrackTip(ahead),
+            **({} if turn == 0.0 else {"turn": Turn(tips[1], ahead, delta)}),
+            **point_damage.energies(),
         },
         results=results,
         fields=[pd.displacement, pd.local_damage],

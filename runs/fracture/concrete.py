@@ -1,6 +1,7 @@
 """What the concrete cases share: bonds that soften as concrete does, beams in three-point bending, and results."""
 
 import numpy as np
+import point_damage
 
 import pdpetsc as pd
 
@@ -46,6 +47,15 @@ def of_plane(m):
     return traction / modulus, energy / modulus / m
 
 
+def of_points(E, nu, strength, Gf, G, curve, protected):
+    """Return an elastic body in plane stress whose gradient points fail by a curve, with correspondence.
+
+    ``G`` is the coefficient of Silling's control [-].
+    """
+    damage = pd.PointDamage(curve, Gc=Gf, strength=strength, protected=protected)
+    return point_damage.body(pd.LinearElastic(E, nu, plane="stress"), damage, G)
+
+
 def bent_beam(
     size, span, notch, E, strength, Gf, n, horizon, step, end, offset=0.0, at=(), load=1000.0, smallest=1e-3,
     damage="bonds", nu=0.2, G=2.0,
@@ -55,7 +65,8 @@ def bent_beam(
     Bonds soften bilinearly, to a quarter of their largest force at 0.15 of the last stretch (Wittmann), and a plane
     that opens has the strength as its largest traction and takes ``Gf``, on the lattice that there is. With the damage
     ``"point"`` the gradient points of an elastic body fail by the same curve, strength and energy (``pd.PointDamage``),
-    with correspondence, a zero-energy control and standard weights.
+    with correspondence, a zero-energy control and standard weights; also those under the load, so that the beam
+    separates, but none above the supports.
 
     Parameters
     ----------
@@ -63,7 +74,7 @@ def bent_beam(
     span : float
         Between the supports, around the middle, over which the load is.
     notch : float
-        Its depth.
+        Its depth. Without one the opening is that of a gauge of half the depth of the beam.
     offset : float
         Of the notch from the middle.
     n : int
@@ -76,20 +87,29 @@ def bent_beam(
         Poisson's ratio and coefficient of the zero-energy control where gradient points fail [-].
 
     Results: ``peak_load``, ``opening_at_peak``, the loads that were asked for, ``dissipated``, what the laws have taken
-    over the fracture energy of the ligament, ``last_load`` over the peak.
+    over the fracture energy of the ligament, ``last_load`` over the peak; with the damage ``"point"`` also ``work``
+    over the fracture energy of the ligament.
     """
+    points = pd.choose("damage", damage, {"bonds": False, "point": True})
     length, depth, width = size
     dx = depth / n
     delta = horizon * dx
     traction, snap = of_plane(horizon)
     middle, mouth = 0.5 * length, 0.5 * length - offset
+    area = Gf * width * (depth - notch)
     low = pd.region.Slab("y", high=dx)
     feet = [middle - 0.5 * span, middle + 0.5 * span]
-    left, right = (pd.region.Nearest((foot, 0.0)) for foot in feet)
+    # One particle each, so that the ends turn: half a spacing beside a foot between two of them.
+    left, right = (pd.region.Nearest((foot + 0.5 * dx, 0.0)) for foot in feet)
     loaded = pd.region.Box((middle - 1.5 * dx, depth - dx), (middle + 1.5 * dx, depth))
-    lips = [low & pd.region.Slab("x", mouth - 2.0 * dx, mouth), low & pd.region.Slab("x", mouth, mouth + 2.0 * dx)]
+    gap = 0.0 if notch else 0.25 * depth
+    lips = [
+        low & pd.region.Slab("x", mouth - gap - 2.0 * dx, mouth - gap),
+        low & pd.region.Slab("x", mouth + gap, mouth + gap + 2.0 * dx),
+    ]
     under = pd.region.Box((middle - 2.0 * dx, depth - dx), (middle + 2.0 * dx, depth))
-    rests = [pd.region.Box((foot - 2.0 * delta, 0.0), (foot + 2.0 * delta, delta)) for foot in feet]
+    room = 3.0 if points else 2.0
+    rests = [pd.region.Box((foot - room * delta, 0.0), (foot + room * delta, (room - 1.0) * delta)) for foot in feet]
 
     def results(h):
         found, peak = at_peak(h["t"], load)
@@ -103,30 +123,22 @@ def bent_beam(
             **found,
             "opening_at_peak": opening[peak],
             **reached,
-            "dissipated": h["dissipated"][-1] / (Gf * width * (depth - notch)),
-            **({} if of_points else {"broken_bonds": h["broken"][-1]}),
+            "dissipated": h["dissipated"][-1] / area,
+            **({"work": h["work"][-1] / area} if points else {"broken_bonds": h["broken"][-1]}),
         }
 
-    protected = under | rests[0] | rests[1]
-    of_points = pd.choose("damage", damage, {"bonds": False, "point": True})
-    if of_points:
+    if points:
         curve = pd.softening.Bilinear(kink=0.15, share=0.25)
-        model = {
-            "material": pd.LinearElastic(E, nu, plane="stress"),
-            "scheme": pd.Correspondence(),
-            "control": pd.Silling(G),
-            "weights": pd.Standard(),
-            "damage": pd.PointDamage(curve, Gc=Gf, strength=strength, protected=protected),
-        }
+        model = of_points(E, nu, strength, Gf, G, curve, rests[0] | rests[1])
     else:
         model = {
             "material": pd.BondBased(E=E, plane="stress", calibration="family"),
-            "damage": bilinear(E, strength / traction, Gf, delta, protected, 0.25, 0.75 / 5.0, snap),
+            "damage": bilinear(E, strength / traction, Gf, delta, under | rests[0] | rests[1], 0.25, 0.75 / 5.0, snap),
         }
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (length, depth), dx, thickness=width),
         horizon=delta,
-        cracks=[pd.Segment((mouth, -1.0), (mouth, notch))],
+        cracks=[pd.Segment((mouth, -1.0), (mouth, notch))] if notch else [],
         **model,
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
@@ -140,7 +152,7 @@ def bent_beam(
             "deflection": pd.Mean(pd.displacement, "y", loaded),
             "left_lip": pd.Mean(pd.displacement, "x", lips[0]),
             "right_lip": pd.Mean(pd.displacement, "x", lips[1]),
-            **({"control": pd.ControlEnergy()} if of_points else {"broken": pd.BrokenBonds()}),
+            **({"control": pd.ControlEnergy()} if points else {"broken": pd.BrokenBonds()}),
             "dissipated": pd.DissipatedEnergy(),
             "stored": pd.StrainEnergy(),
             "work": pd.ExternalWork(),

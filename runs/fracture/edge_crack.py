@@ -13,6 +13,11 @@ with a Poisson ratio of 1/3, ``weights`` and Silling's control of strength ``G``
 Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)``; ``ratio`` of both;
 ``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
 
+With ``damage=point`` gradient points fail (``pd.PointDamage`` by a softening ``curve``, with a strain without stress of
+``ratio`` times that at the onset), with correspondence, ``Silling(G)`` and a Poisson ratio of 1/3. The path is followed
+by the opening of the mouth, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith``, ``ratio``;
+``cohesive_length``, ``E Gc / strength^2`` over a; ``balance``, work over stored and dissipated energy.
+
 Exact is ``K = s sqrt(pi a) F(a / W)`` with ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris,
 Irwin).
 """
@@ -20,6 +25,7 @@ Irwin).
 from dataclasses import dataclass
 
 import numpy as np
+import point_damage
 
 import pdpetsc as pd
 
@@ -52,7 +58,12 @@ def griffith(a=8.0):
     return np.sqrt(E * GC) / factor(a)
 
 
-def case(n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5, law="none"):
+def case(
+    n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5, law="none", damage="bonds",
+    curve="linear", ratio=2.0, step=0.01, end=0.3,
+):  # fmt: skip
+    if pd.choose("damage", damage, {"bonds": False, "point": True}):
+        return of_points(n, horizon, a, G, curve, ratio, step, end)
     if law == "none":
         return measured(n, horizon, a, scheme, weights, G)
     pd.choose("law", law, {"brittle": None})
@@ -117,6 +128,46 @@ def measured(n, horizon, a, scheme, weights, G):
         else {},
         fields=[pd.displacement, pd.stress, pd.von_mises],
         picture=pd.Picture(pd.von_mises, "", 20.0),
+    )
+
+
+def of_points(n, horizon, a, G, curve, ratio, step, end):
+    """Return the strip whose gradient points fail."""
+    dx = WIDTH / n
+    delta, middle, exact = horizon * dx, 0.5 * LENGTH, griffith(a)
+    low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
+    ends = pd.region.Slab("y", high=3.0 * delta) | pd.region.Slab("y", low=LENGTH - 3.0 * delta)
+    below = pd.region.Box((0.0, middle - dx), (1.01 * dx, middle))
+    above = pd.region.Box((0.0, middle), (1.01 * dx, middle + dx))
+    material = pd.LinearElastic(E, 1.0 / 3.0, plane="stress")
+    damage = point_damage.damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=ends)
+
+    def results(h):
+        peak = max(h["t"]) * exact
+        return {
+            "peak_stress": peak,
+            "griffith": exact,
+            "ratio": peak / exact,
+            "cohesive_length": E * GC / damage.strength**2 / a,
+            "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
+        horizon=delta,
+        **point_damage.body(material, damage, G),
+        cracks=[pd.Segment((-1.0, middle), (a, middle))],
+        conditions=[
+            pd.Displacement(pd.region.Nearest((WIDTH - 0.5 * dx, 0.5 * dx)), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Nearest((0.5 * dx, 0.5 * dx)), y=0.0),
+            pd.Force(low, y=-exact * WIDTH),
+            pd.Force(high, y=exact * WIDTH),
+        ],
+        solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
+        history={"opening": pd.Mean(pd.displacement, "y", above), **point_damage.energies()},
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 5.0),
     )
 
 

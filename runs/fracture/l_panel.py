@@ -7,6 +7,8 @@ Poisson ratio of 0.18, ``weights`` and Silling's control of strength ``G``.
 With ``shake`` the particles inside leave the lattice by up to so many spacings, whose rows else lead the crack.
 Results: ``peak_load``, ``peak_displacement``, ``rise``, the angle of the crack with the horizontal [degrees] from the
 broken bonds, ``last_load`` over the peak.
+With ``damage=point`` the gradient points of that material fail (``pd.PointDamage``) by the same curve, strength and
+fracture energy, with correspondence, standard weights and ``Silling(G)``; ``rise`` is that of the failed points.
 """
 
 from dataclasses import dataclass
@@ -22,11 +24,13 @@ E, NU, STRENGTH, GF = 25.85e3, 0.18, 2.7, 0.065
 
 @dataclass(frozen=True)
 class Rise(pd.Quantity):
-    """Angle of the line from the corner to the middle of what has lost a third of its bonds [degrees]."""
+    """Angle of the line from the corner to the middle of what has lost a share of its bonds or points [degrees]."""
+
+    share: float
 
     def evaluate(self, solution):
         x = solution.x - [LEG, LEG]
-        damaged = pd.local_damage(solution) > 0.3
+        damaged = pd.local_damage(solution) > self.share
         sums = solution.sum(np.array([*x[damaged].sum(axis=0), damaged.sum()]))
         return float(np.degrees(np.arctan2(sums[1], -sums[0]))) if sums[2] else float("nan")
 
@@ -42,13 +46,17 @@ def particles(dx, shake, seed):
     return pd.Arrays(x, np.full(len(x), dx**2 * THICKNESS), thickness=THICKNESS)
 
 
-def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1, scheme="", weights="standard", G=0.5):
+def case(
+    n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1, scheme="", weights="standard", G=0.5,
+    damage="bonds",
+):  # fmt: skip
     dx = LEG / n
     delta = horizon * dx
     foot = pd.region.Slab("y", high=delta)
     loaded = pd.region.Box((SIDE - 30.0 - 1.5 * dx, LEG), (SIDE - 30.0 + 1.5 * dx, LEG + 1.5 * dx))
     around = pd.region.Box((SIDE - 30.0 - 2.0 * delta, LEG), (SIDE, LEG + 3.0 * delta))
     load = 10e3
+    points = pd.choose("damage", damage, {"bonds": False, "point": True})
 
     def results(h):
         found, peak = concrete.at_peak(h["t"], load)
@@ -56,9 +64,10 @@ def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1, scheme="", 
             **found,
             "peak_displacement": h["displacement"][peak],
             **({"rise": h["rise"][-1]} if np.isfinite(h["rise"][-1]) else {}),
-            "broken_bonds": h["broken"][-1],
+            **({} if points else {"broken_bonds": h["broken"][-1]}),
         }
 
+    held = foot | around
     model = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}
     if scheme:
         model = {
@@ -67,19 +76,23 @@ def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1, scheme="", 
             "weights": pd.choose("weights", weights, pd.WEIGHTS),
             "control": pd.Silling(G) if G else None,
         }
+    model["damage"] = concrete.bilinear(E, STRENGTH, GF, delta, protected=held)
+    if points:
+        model = concrete.of_points(E, NU, STRENGTH, GF, G, pd.softening.Bilinear(), held)
     return pd.Case(
         particles=particles(dx, shake, seed),
         horizon=delta,
         **model,
-        damage=concrete.bilinear(E, STRENGTH, GF, delta, protected=foot | around),
         conditions=[pd.Displacement(foot, x=0.0, y=0.0), pd.Force(loaded, y=load)],
         solver=pd.PathFollowing(pd.Opening("y", loaded, step=step, end=end), until=0.02),
         history={
             "displacement": pd.Mean(pd.displacement, "y", loaded),
-            "broken": pd.BrokenBonds(),
-            "rise": Rise(),
+            "rise": Rise(0.9 if points else 0.3),
             "dissipated": pd.DissipatedEnergy(),
             "work": pd.ExternalWork(),
+            **(
+                {"stored": pd.StrainEnergy(), "control": pd.ControlEnergy()} if points else {"broken": pd.BrokenBonds()}
+            ),
         },
         results=results,
         fields=[pd.displacement, pd.local_damage],

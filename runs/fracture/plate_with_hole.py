@@ -7,15 +7,22 @@ the ends may fail. ``weights`` are those of the scheme, or conforming.
 Results: ``first_damage_load``, ``peak_load``, ``max_damage``, ``broken_bonds``, ``symmetry_error`` (first moments of
 the damage about the axes of the plate over its sum, in widths), ``last_load``.
 Reference: Hashim et al., section 4.5; the end displacement in the text is a misprint.
+
+With ``damage=point`` gradient points fail (``pd.PointDamage`` by a softening ``curve``) from the strain ``s_min`` in
+uniaxial tension on and take ``Gc`` [N / mm], with correspondence and ``Silling(G)``. Results: also ``work`` over ``Gc``
+times both ligaments, and ``over_kirsch``, the peak over the load at which the hole's edge begins to fail by Heywood's
+stress concentration, ``2 + (1 - d / W)^3`` over the ligaments, which a body that softens must exceed.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import point_damage
 
 import pdpetsc as pd
 
 LENGTH, WIDTH, RADIUS = 150.0, 50.0, 10.0
+E, NU = 210e3, 0.33
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,8 @@ class Asymmetry(pd.Quantity):
 
 def case(
     nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
-    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard",
+    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard", damage="bonds",
+    curve="linear", Gc=20.0,
 ):  # fmt: skip
     dx = LENGTH / nx
     layer = horizon * dx
@@ -54,7 +62,14 @@ def case(
     }
     control = (pd.SillingMicromodulus(G, unit) if unit else pd.Silling(G)) if G else None
     left, right = pd.region.Named("fictitious -x"), pd.region.Named("fictitious +x")
-    damage = pd.choose("law", law, laws)
+    points = pd.choose("damage", damage, {"bonds": False, "point": True})
+    failing = pd.choose("law", law, laws)
+    if points:
+        shape = pd.choose("curve", curve, point_damage.CURVES)
+        failing = pd.PointDamage(shape, Gc=Gc, onset=s_min, protected=held if grips else None)
+    ligaments = WIDTH - 2.0 * RADIUS
+    # In plane strain a bar of the strain s_min in uniaxial stress carries E s_min / (1 - nu^2) ** 0.5.
+    first = E * s_min / np.sqrt(1.0 - NU**2) * ligaments / (2.0 + (ligaments / WIDTH) ** 3)
 
     def results(h):
         broken = [force for force, lost in zip(h["force"], h["damage"], strict=True) if lost > 0.0]
@@ -62,7 +77,8 @@ def case(
             **({"first_damage_load": broken[0]} if broken else {}),
             "peak_load": max(h["force"]),
             "max_damage": h["damage"][-1],
-            "broken_bonds": h["broken"][-1],
+            **({} if points else {"broken_bonds": h["broken"][-1]}),
+            **({"work": h["work"][-1] / (Gc * ligaments), "over_kirsch": max(h["force"]) / first} if points else {}),
             "symmetry_error": h["asymmetry"][-1],
             "last_load": h["force"][-1],
         }
@@ -70,18 +86,18 @@ def case(
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (LENGTH, WIDTH), dx, cut=hole, fictitious={"-x": layer, "+x": layer}),
         horizon=layer,
-        material=pd.Hencky(E=210e3, nu=0.33),
+        material=pd.Hencky(E, NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=control,
-        damage=damage,
+        damage=failing,
         conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],
         steps=pd.Steps(steps),
         history={
             "force": pd.Reaction("x", right),
             "displacement": pd.Mean(pd.displacement, "x", right),
             "damage": pd.Largest(pd.local_damage),
-            "broken": pd.BrokenBonds(),
+            **({} if points else {"broken": pd.BrokenBonds()}),
             "asymmetry": Asymmetry(),
             "stored": pd.StrainEnergy(),
             "control": pd.ControlEnergy(),

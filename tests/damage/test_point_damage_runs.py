@@ -1,6 +1,7 @@
 """Case files with damage at gradient points: energies, loads and openings against references that know no horizon."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ from tests.commands import ROOT, results
 from tests.damage.test_fracture import hinge_peak
 
 sys.path.append(str(ROOT / "runs/fracture"))
+import centre_crack
+import gregoire_beam
+import mixed_mode_beam
 import point_damage
 import separation
 
@@ -19,6 +23,21 @@ def test_halves_that_are_pulled_apart_take_the_declared_energy(curve, horizon):
     work, rest = separation.share_of_points(curve, horizon=horizon)
     assert work == pytest.approx(1.0, abs=2e-3)
     assert rest == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("beam, n", [(gregoire_beam, 20), (gregoire_beam, 14), (mixed_mode_beam, 16)])
+def test_the_ends_of_a_bent_beam_turn(beam, n):
+    """Two particles that are held side by side would clamp them."""
+    case = beam.case(n=n, damage="point")
+    view = SimpleNamespace(x=case.particles.chunk(0, 1).x, minimum=float)
+    assert [np.count_nonzero(held.region.mask(view)) for held in case.conditions[:2]] == [1, 1]
+
+
+def test_a_slanted_crack_kinks_by_the_largest_hoop_stress():
+    """Under pure sliding by 70.5 degrees, at 45 degrees by 53.1 (Erdogan and Sih)."""
+    assert centre_crack.kink(0.0) == (0.0, 1.0)
+    assert np.degrees(centre_crack.kink(np.radians(45.0))[0]) == pytest.approx(-53.13, abs=0.01)
+    assert np.degrees(centre_crack.kink(np.radians(89.99))[0]) == pytest.approx(-70.5, abs=0.1)
 
 
 @pytest.mark.long
@@ -87,3 +106,33 @@ def test_a_beam_with_a_notch_beside_its_middle_peaks_as_tests_do(tmp_path):
     words = ("damage=point", "n=16", "G=0.5", "end=0.036")
     found = results("runs/fracture/mixed_mode_beam.py", *words, output=tmp_path)["results"]
     assert 4894.0 < found["peak_load"] < 1.02 * 5405.0
+
+
+@pytest.mark.long
+def test_a_deeper_beam_is_weaker_as_a_cohesive_hinge_is(tmp_path):
+    words = ("damage=point", "n=20", "G=0.5", "depth=200", "step=0.03", "end=0.1")
+    found = results("runs/fracture/gregoire_beam.py", *words, output=tmp_path)["results"]
+    assert found["peak_load"] == pytest.approx(hinge_peak(37e3, 3.9, 0.1432, 50.0, 100.0, 500.0), rel=0.1)
+    assert found["peak_load"] / 4.0 < 0.8 * hinge_peak(37e3, 3.9, 0.1432, 50.0, 25.0, 125.0)
+
+
+@pytest.mark.long
+def test_a_plate_with_a_hole_separates_symmetrically(tmp_path):
+    found = results("runs/fracture/plate_with_hole.py", "damage=point", output=tmp_path)["results"]
+    assert found["symmetry_error"] < 1e-6
+    assert found["last_load"] < 0.01 * found["peak_load"]
+    assert found["over_kirsch"] > 1.0
+
+
+@pytest.mark.long
+def test_a_notched_prism_takes_the_energy_of_its_ligament(tmp_path):
+    """With four particles over the ligament; what is too much is that of a band that is as wide as the ligament."""
+    found = results("runs/fracture/prism.py", "pull=0.25", output=tmp_path)["results"]
+    assert found["work"] == pytest.approx(1.0, abs=0.2)
+    assert found["last_load"] < 0.02
+
+
+@pytest.mark.long
+def test_a_prism_with_an_oblique_notch_bears_the_torsion_of_the_tests(tmp_path):
+    found = results("runs/fracture/torsion.py", "n=6", "step=0.01", "end=0.08", output=tmp_path)["results"]
+    assert found["peak_load"] == pytest.approx(1300.0, rel=0.15)

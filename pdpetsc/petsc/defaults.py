@@ -53,7 +53,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     end a solve as converged where force and step are small numbers, whatever the residual is.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are taken. There and
-    with damage of bonds linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat1996).
+    with damage of bonds linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges
+    (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",

@@ -8,7 +8,9 @@ from 10 to ``end``, after a tenth of the load in which the field rises. Bonds so
 critical stretch, or by another ``law``. J is taken on two contours that follow the tip. Means are over the steps in
 which the tip goes from 13 to two before ``end``.
 With ``damage=point`` gradient points fail with the energy and the law as declared (``pd.PointDamage``), ``final`` times
-their strain at onset in the largest family; lattices may be turned, and shaken by a share of the spacing.
+their strain at onset in the largest family. ``cloud=lattice`` may be turned by ``angle`` and shaken by a share of the
+spacing. With ``cloud=triangles`` or ``quads`` particles sit in the cells of a mesh, whose nodes are turned and shaken
+instead; weights are conforming there, and the crack of length 10 is a band of points that fail under a small load.
 Results: ``taken_over_Gc``, work less what is stored over the last third of the way of the field, by whole spacings,
 and ``steady``, by how much this differs between its halves; ``J_over_Gc``, ``J_far_over_Gc``, which miss what long
 tails of softening bonds behind the contours have yet to take; ``spread``, the standard deviation of J over its mean;
@@ -16,17 +18,25 @@ tails of softening bonds behind the contours have yet to take; ``spread``, the s
 the crack that has grown; ``lead``, by which the tip of the crack is ahead of that of the field.
 """
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 import pdpetsc as pd
+from pdpetsc.declare.cells import Block
+
+sys.path.append(str(Path(__file__).parent.parent))
+from convergence import common
 
 LENGTH, HEIGHT = 36.0, 20.0
 E, GC = 1000.0, 0.1
 # Materials, schemes and controls; bonds in plane stress have a Poisson ratio of 1/3, whatever is asked for.
 MODELS = ("bonds", "linear_solid", "correspondence", "sub_horizons", "stress_points", "bond_associated")
 START, RISE = 10.0, 0.1
+CLOUDS = ("lattice", "triangles", "quads")
 
 
 @dataclass(frozen=True)
@@ -71,27 +81,51 @@ def laws(energy, protected, final=3.0):
     }
 
 
-def point_damage(law, final, delta, protected):
-    """Return how points fail, so that the widest families have no stress at ``final`` times the strain at onset."""
+def point_damage(law, final, delta, protected, cut):
+    """Return how points fail, so that the widest families have no stress at ``final`` times the strain at onset.
+
+    Those for which ``cut(x)`` holds fail at a millionth of the energy.
+    """
     curves = {"linear": pd.softening.Linear(), "exponential": pd.softening.Exponential()}
     curve = pd.choose("law", law, curves)
     onset_energy = 0.5 * GC / delta / (1.0 + 2.0 * curve.area * (final - 1.0))
     onset = float(np.sqrt(2.0 * onset_energy / E))
-    return pd.PointDamage(curve, Gc=GC, onset=onset, split=pd.split.Whole(), protected=protected)
+    return pd.PointDamage(
+        curve, Gc=lambda x, normal: GC * np.where(cut(x), 1e-6, 1.0),
+        onset=lambda x: onset * np.where(cut(x), 1e-3, 1.0),
+        split=pd.split.Whole(), protected=protected & ~pd.region.Where(cut),
+    )  # fmt: skip
 
 
-def particles(dx, angle, shake):
-    """Return a square lattice, turned by an angle [degrees] against the crack, and shaken by a share of the spacing."""
-    if angle == shake == 0.0:
+def particles(cloud, dx, angle, shake):
+    """Return a square lattice, or the cells of a mesh, turned by an angle [degrees] and shaken by a share of ``dx``.
+
+    Triangles are those of Delaunay between nodes in rows, half a distance apart from one row to the next.
+    """
+    lattice, triangles = (pd.choose("cloud", cloud, dict.fromkeys(CLOUDS, cloud)) == name for name in CLOUDS[:2])
+    if lattice and angle == shake == 0.0:
         return pd.Lattice((0.0, 0.0), (LENGTH, HEIGHT), dx)
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-    far = int((LENGTH + HEIGHT) / dx)
-    # Rows lie half a distance of rows off the crack, as those of the lattice that is not turned.
-    i, j = np.meshgrid(np.arange(-far, far) + 0.5, np.arange(-far, far))
-    x = dx * (np.stack([i.ravel(), j.ravel()], axis=1) @ np.array([[c, s], [-s, c]])) + [0.0, 0.5 * HEIGHT]
+    size = np.sqrt(2.0) * dx if triangles else dx
+    far = int((LENGTH + HEIGHT) / size)
+    # Rows of particles lie half a distance of rows off the crack, as those of the lattice that is not turned.
+    i, j = np.meshgrid(np.arange(-far, far) + 0.5 * lattice, np.arange(-far, far) + 0.5 * (not lattice))
+    i += 0.5 * (np.floor(j) % 2.0) * triangles
+    x = size * (np.stack([i.ravel(), j.ravel()], axis=1) @ np.array([[c, s], [-s, c]])) + [0.0, 0.5 * HEIGHT]
     x += np.random.default_rng(1).uniform(-shake, shake, x.shape) * dx
-    inside = ((x > 0.0) & (x < [LENGTH, HEIGHT])).all(axis=1)
-    return pd.Arrays(x[inside], np.full(np.count_nonzero(inside), dx**2))
+
+    def inside(x, by=0.0):
+        return ((x > by) & (x < np.subtract([LENGTH, HEIGHT], by))).all(axis=1)
+
+    if lattice:
+        return pd.Arrays(x[inside(x)], np.full(np.count_nonzero(inside(x)), dx**2))
+    if triangles:
+        grid = np.meshgrid(*(np.linspace(0.0, side, round(side / size) + 1) for side in (LENGTH, HEIGHT)))
+        grid = np.stack(grid, axis=-1).reshape(-1, 2)
+        x = np.concatenate([x[inside(x, 0.5 * size)], grid[~inside(grid)]])
+        return common.of_cells(x, Block("triangle", Delaunay(x).simplices.astype(np.int64)))
+    cells = Block("quad", common.cubes((2 * far - 1, 2 * far - 1)).nodes[:, ::-1])
+    return common.of_cells(x, Block("quad", cells.nodes[inside(common.centres(x, cells)[1])]))
 
 
 def field_tip(t, end):
@@ -123,6 +157,7 @@ def taken(h, end, dx):
 def case(
     n=20, horizon=3.015, steps=40, surplus=1.1, law="linear", final=3.0, model="bonds", share=1.0, nu=0.25,
     G=None, angle=0.0, end=22.0, damage="bonds", shake=0.0, scheme="correspondence",
+    cloud="lattice", weights="",
 ):  # fmt: skip
     at_points = pd.choose("damage", damage, {"bonds": False, "point": True})
     model = scheme if at_points else model
@@ -177,7 +212,7 @@ def case(
         }  # fmt: skip
 
     declared = pd.Case(
-        particles=particles(dx, angle, shake),
+        particles=particles(cloud, dx, angle, shake),
         horizon=delta,
         material=material,
         scheme=gradients,
@@ -204,9 +239,16 @@ def case(
     if not at_points:
         return declared
     history = {name: declared.history[name] for name in ("J", "J far", "tip", "dissipated", "stored", "work")}
+    weights = weights or ("standard" if cloud == "lattice" else "conforming")
+
+    def cut(x):
+        return (np.abs(x[:, 1] - 0.5 * HEIGHT) < delta) & (x[:, 0] < START) & (cloud != "lattice")
+
     return replace(
         declared,
-        damage=point_damage(law, final, delta, rim),
+        cracks=declared.cracks if cloud == "lattice" else [],
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
+        damage=point_damage(law, final, delta, rim, cut),
         history={**history, "control": pd.ControlEnergy(), "angle": PathAngle(START + delta)},
         results=results_of_points,
     )

@@ -1,4 +1,4 @@
-"""Time load steps with a growing crack: [mpirun -n 2] python runs/bench/fracture.py [name=value ...] [-petsc_option ...].
+"""Time load steps with a growing crack: [mpirun -n 2] python runs/bench/fracture.py [name=value ...] [-option ...].
 
 A block of n x n/2 particles (in space n x n/2 x n/4) of unit spacing and E = 1, with a crack along its middle plane
 from one end to a third of its length. Both halves of this end are pulled apart, up to the opening at which beam theory

@@ -85,9 +85,9 @@ class Case(Declared):
     conditions : sequence of Condition
         Displacements and loads, temperatures and strains without stress.
     scheme : Scheme, optional
-        Where deformation gradients are evaluated. By default sub-horizons, which need no control and no coefficient;
-        for nearly incompressible bodies (nu > 0.45) without a declared control ``MeanDilatation``. Materials of bonds
-        have none.
+        Where deformation gradients are evaluated. By default sub-horizons, which need no control and no coefficient.
+        Without a declared control it is ``Correspondence`` with ``PointDamage``, and ``MeanDilatation`` for nearly
+        incompressible bodies (nu > 0.45). Materials of bonds have none.
     influence : Influence
         How much a bond counts.
     weights : Weights, optional
@@ -96,8 +96,8 @@ class Case(Declared):
         cells, as those of a mesh: standard weights do not converge there; and on ``LatticeNodes``, whose supports hold
         the surface itself.
     control : ZeroEnergyControl, optional
-        Zero-energy control. By default none; for nearly incompressible bodies (nu > 0.45) without a declared scheme
-        ``ByShear(Silling(0.5))``.
+        Zero-energy control. By default none. Without a declared scheme it is ``Silling(2.0)`` with ``PointDamage``, and
+        ``ByShear(Silling(0.5))`` for nearly incompressible bodies (nu > 0.45).
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
     damage : BondDamage, DamageOf or PointDamage, optional

@@ -18,6 +18,8 @@ def missed_fracture_energy(case: Case) -> str | None:
     """
     if getattr(case.particles, "dim", 2) == 1:
         return None
+    if case.damage is not None and case.damage.point_laws:
+        return _missed_by_points(case)
     laws = [law for law in case.damage_laws if law.criterion.assumes_share]
     steep = any(law.final < STEEP * law.onset for law in laws)
     if not laws:
@@ -33,4 +35,18 @@ def missed_fracture_energy(case: Case) -> str | None:
     return (
         f"A running crack through {model} takes {size} times the fracture energy Gc: give the measured share of the "
         f"model with share=..., from the table in {PAGE}, or share=1.0 to keep Gc for one plane of bonds."
+    )
+
+
+def _missed_by_points(case: Case) -> str | None:
+    """Return the sentence for damage at gradient points."""
+    if case.gradients.patches is not None:
+        model, size = "patches that share a dilatation", "0.8 to 1.2"
+    elif case.control is None:
+        model, size = "gradient points without a control", "0.85 to 0.95"
+    else:
+        return None
+    return (
+        f"A running crack through {model} takes {size} times the declared Gc: take scheme=pd.Correspondence() with "
+        f"control=pd.Silling(2.0) if Gc matters ({PAGE})."
     )

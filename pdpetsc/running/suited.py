@@ -1,4 +1,4 @@
-"""The scheme and the control of nearly incompressible bodies for which a case declares neither."""
+"""The scheme and the control of bodies for which a case declares neither, if the default does not suit them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from pdpetsc.problem.problem import Problem
 LOCKING = 9.0
 # Edge of a patch in spacings.
 PATCH = 2.0
+# Control of points that fail. With less of it, and with sub-horizons without control, a crack takes less than Gc.
+OF_FAILING_POINTS = Silling(2.0)
 # Controls in proportion to the stiffness of the material, which ``ByShear`` scales with the shear modulus.
 BY_BULK = tuple(type(control) for control in CONTROLS.values() if control is not None)
 
@@ -45,10 +47,12 @@ def takes_patches(case: Case, dim: int) -> bool:
 
 
 def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
-    """Return the case, with ``MeanDilatation`` and ``ByShear`` if it declares no scheme and no control and would lock.
+    """Return the case, with another scheme and control if it declares neither and the default does not suit it.
 
-    The patches have edges of two spacings, means over the volume of the body. A body whose bonds fail, that expands or
-    that has a part in plane stress keeps its scheme: ``locking_note`` says what to declare.
+    A body with ``PointDamage`` has ``Correspondence`` and ``Silling(2.0)``, with which a crack takes the declared
+    energy. A body that would lock has ``MeanDilatation`` and ``ByShear``, with patches that have edges of two spacings,
+    means over the volume of the body. A body whose bonds fail, that expands or that has a part in plane stress keeps
+    its scheme: ``locking_note`` says what to declare.
 
     Parameters
     ----------
@@ -66,6 +70,12 @@ def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
     if case.scheme is not None or case.control is not None:
         return case
     dim = chunk.x.shape[1]
+    if case.damage is not None and case.damage.point_laws:
+        with agreed(comm):
+            stiff = locks(lame_ratio(case, dim))
+        return replace(
+            case, scheme=Correspondence(), control=ByShear(OF_FAILING_POINTS) if stiff else OF_FAILING_POINTS
+        )
     with agreed(comm):
         suits = takes_patches(case, dim) and locks(lame_ratio(case, dim))
         weighted = chunk.volume @ spacings(chunk, case.particles.thickness) if suits else 0.0
@@ -87,6 +97,11 @@ def locks(lame: float) -> bool:
 
 def words(case: Case, lame: float) -> str:
     """Return the line of the log that says which scheme and control were chosen, and why."""
+    if case.damage is not None:
+        return (
+            f"gradient points fail: chosen are scheme={case.scheme} and control={case.control}, with which a crack "
+            f"takes the declared fracture energy"
+        )
     return (
         f"nu = {poisson_ratio(lame):.5g} at F = I locks the default scheme: chosen are scheme={case.scheme} and "
         f"control={case.control}"

@@ -10,6 +10,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
 from pdpetsc.output.checkpoint import seal
+from pdpetsc.running.crack_energy import missed_fracture_energy
 from tests.commands import field, results
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
 from tests.solvers.test_events import history
@@ -691,3 +692,14 @@ def test_a_nearly_incompressible_sheet_tears(tmp_path):
     for split in (pd.split.NoTension(), pd.split.Spectral()):
         with pytest.raises(pd.CaseError, match="reads every principal strain"):
             pd.prepare(dataclasses.replace(case, damage=dataclasses.replace(FLOWS, split=split)))
+
+
+def test_scheme_and_control_follow_from_damage_at_points():
+    """Neither declared: those with which a crack takes Gc. Others that are known to miss it are warned of."""
+    law = pd.PointDamage(pd.softening.Linear(), Gc=0.15, strength=1.0)
+    chosen = pd.prepare(torn(scheme=None, control=None, damage=law)).case
+    assert (chosen.scheme, chosen.control) == (pd.Correspondence(), pd.Silling(2.0))
+    declared = pd.prepare(torn(scheme=pd.SubHorizons(), control=None, damage=law)).case
+    assert (declared.scheme, declared.control) == (pd.SubHorizons(), None)
+    assert "0.85 to 0.95" in missed_fracture_energy(declared)
+    assert missed_fracture_energy(chosen) is None

@@ -235,17 +235,20 @@ class MaterialLaw:
         assert isinstance(self.free, StressFreeStrain)
         return self.free
 
-    def stress(self, F: Float, P: Float) -> None:
-        """Write P (all points, dim, dim) at its points for F (all points, dim, dim)."""
-        self.free.stress(self._evaluate("stress", *self.free.elastic(F), self.free.room(P)), P)
+    def stress(self, F: Float, P: Float, only: Mask | None = None) -> None:
+        """Write P (all points, dim, dim) at its points, or those in ``only`` (all points,), for F of all points.
 
-    def tangent(self, F: Float, A: Float) -> None:
-        """Write A (all points, dim, dim, dim, dim) at its points."""
-        self.free.tangent(self._evaluate("tangent", *self.free.elastic(F), self.free.room(A)), A)
+        Laws of a body that expands write it at all of their points.
+        """
+        self.free.stress(self._evaluate("stress", *self.free.elastic(F), self.free.room(P), only=only), P)
 
-    def energy(self, F: Float, psi: Float) -> None:
-        """Write the energy density (all points,) at its points."""
-        self.free.energy(self._evaluate("energy", *self.free.elastic(F), self.free.room(psi)), psi)
+    def tangent(self, F: Float, A: Float, only: Mask | None = None) -> None:
+        """Write A (all points, dim, dim, dim, dim), likewise."""
+        self.free.tangent(self._evaluate("tangent", *self.free.elastic(F), self.free.room(A), only=only), A)
+
+    def energy(self, F: Float, psi: Float, only: Mask | None = None) -> None:
+        """Write the energy density (all points,), likewise."""
+        self.free.energy(self._evaluate("energy", *self.free.elastic(F), self.free.room(psi), only=only), psi)
 
     def commit(self, F: Float) -> None:
         """Make the state at F (all points, dim, dim) the one that the next step starts from."""
@@ -371,12 +374,15 @@ class MaterialLaw:
         return [[law.of_step(self._dt) for law in self.of.laws_at(temperature + by)] for by in (step, -step)]
 
     def _evaluate(
-        self, quantity: str, F: Float, select: GlobalIndex, result: Float, laws: Iterable[Law] | None = None
-    ) -> Float:
+        self, quantity: str, F: Float, select: GlobalIndex, result: Float, laws: Iterable[Law] | None = None,
+        only: Mask | None = None,
+    ) -> Float:  # fmt: skip
         """Write stress, tangent or energy of laws at the rows ``select`` of F and return the result."""
         for law in self._laws if laws is None else laws:
-            loop = getattr(law.kernels, quantity)
-            loop(F, select[law.rows], law.constants, self.of.history[law.rows], result)
+            loop, rows = getattr(law.kernels, quantity), law.rows
+            if only is not None and not self.free.expands:
+                rows = self._rows[rows][only[self.points[rows]]]
+            loop(F, select[rows], law.constants, self.of.history[rows], result)
         return result
 
     def _first_piola(self, elastic: Float, laws: Iterable[Law] | None = None) -> Float:

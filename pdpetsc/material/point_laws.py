@@ -25,25 +25,25 @@ class PointLaws:
         self.materials = list(materials)
         self.dim = dim
 
-    def stress(self, F: Float) -> Float:
-        """Return ``P_p`` (n_points, dim, dim) [stress]."""
-        P = np.empty_like(F)
+    def stress(self, F: Float, only: Mask | None = None) -> Float:
+        """Return ``P_p`` (n_points, dim, dim) [stress]; that of points which are not in ``only`` does not matter."""
+        P = _room(only, F.shape)
         for law in self.materials:
-            law.stress(F, P)
+            law.stress(F, P, only)
         return P
 
-    def moduli(self, F: Float) -> Float:
-        """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
-        A = np.empty((len(F), *(self.dim,) * 4))
+    def moduli(self, F: Float, only: Mask | None = None) -> Float:
+        """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress], likewise."""
+        A = _room(only, (len(F), *(self.dim,) * 4))
         for law in self.materials:
-            law.tangent(F, A)
+            law.tangent(F, A, only)
         return A
 
-    def energy(self, F: Float) -> Float:
-        """Return ``psi_p`` (n_points,) [energy / volume]."""
-        psi = np.empty(len(F))
+    def energy(self, F: Float, only: Mask | None = None) -> Float:
+        """Return ``psi_p`` (n_points,) [energy / volume], likewise."""
+        psi = _room(only, (len(F),))
         for law in self.materials:
-            law.energy(F, psi)
+            law.energy(F, psi, only)
         return psi
 
     def cauchy(self, F: Float) -> Float:
@@ -90,3 +90,8 @@ class PointLaws:
         """Make the state at F the one that the next step starts from."""
         for law in self.materials:
             law.commit(F)
+
+
+def _room(only: Mask | None, shape: tuple[int, ...]) -> Float:
+    """Return an array for results: of zeros if not all points are computed."""
+    return np.empty(shape) if only is None else np.zeros(shape)

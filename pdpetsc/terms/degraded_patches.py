@@ -120,7 +120,8 @@ class DegradedPatchPoints(DegradedPoints):
 
     def linearise(self, state: State) -> list[Product]:
         """Return the tangent of points and patches and, unless damage is held, what the derivative of phi adds."""
-        moduli = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
+        F = self.deformation(state)
+        moduli = self._degraded(state, lambda laws, only: laws.moduli(F, only))
         residual = self._residual_moduli(state)
         found = self._sharing.products(state, self.response(state), moduli, self._rest(state), residual)
         return found if self.frozen else [*found, self._softening(state)]
@@ -131,9 +132,9 @@ class DegradedPatchPoints(DegradedPoints):
     def _missing(self, state: State) -> Float:
         return self._sharing.shared(state).missing
 
-    def _open_energy(self, state: State) -> Float:
-        """Return ``Y = psi_open + share mu m^2 + psi_control`` (n_points,) [energy / volume]."""
-        return np.asarray(super()._open_energy(state) + 0.5 * self._sharing.rest * self._missing(state) ** 2)
+    def _unresolved_energy(self, state: State) -> Float:
+        """Return ``share mu m^2 + psi_control`` (n_points,) [energy / volume]."""
+        return np.asarray(super()._unresolved_energy(state) + 0.5 * self._sharing.rest * self._missing(state) ** 2)
 
     def _reach(self) -> Float:
         """Return half of the largest width of a failing band at each own particle (n_owned,) [length]."""

@@ -15,6 +15,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.material.base import Material
+from pdpetsc.material.point_laws import PointLaws
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.state import State
@@ -259,12 +260,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _open_energy(self, state: State) -> Float:
         """Return ``Y = psi_open + psi_control`` (n_points,) [energy / volume]."""
         F = self.deformation(state)
-        Y = self.laws(state).energy(F)
-        if self._closed is not None:
-            Y = Y - self._closed.laws(state).energy(F)
-        if self._control is not None:
-            Y = Y + (self._control.family_energy(state.u_local) / self._volume)[self.operator.owner]
+        Y = self.laws(state).energy(F) + self._unresolved_energy(state)
+        if self._closed is not None:  # which only lowers it: far below the onset it does not matter
+            Y = Y - self._closed.laws(state).energy(F, NEAR_ONSET**2 * self.points.onset_energy < Y)
         return Y
+
+    def _unresolved_energy(self, state: State) -> Float:
+        """Return what drives points besides the energy of their F: ``psi_control`` (n_points,) [energy / volume]."""
+        if self._control is None:
+            return np.zeros(self.operator.n_points)
+        return np.asarray((self._control.family_energy(state.u_local) / self._volume)[self.operator.owner])
 
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
         """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
@@ -381,14 +386,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def moduli_sets(self, state: State) -> Moduli:
         """Return ``phi A_open + A_closed``, damage held."""
-        A = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
+        F = self.deformation(state)
+        A = self._degraded(state, lambda laws, only: laws.moduli(F, only))
         failed, residual = self._residual_moduli(state)
         A[failed] += residual
         return Moduli(A)
 
     def _degraded_stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress], a new array."""
-        return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+        F = self.deformation(state)
+        return self._degraded(state, lambda laws, only: laws.stress(F, only))
 
     def _residual_moduli(self, state: State) -> tuple[GlobalIndex, Float]:
         """Return points that have failed at a state, and their moduli (n, dim, dim, dim, dim) [stress]."""
@@ -399,19 +406,23 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def point_energy(self, state: State) -> Float:
         """Return ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
-        psi = self._degraded(state, lambda term: term.laws(state).energy(self.deformation(state)))
+        F = self.deformation(state)
+        psi = self._degraded(state, lambda laws, only: laws.energy(F, only))
         failed, soft, strain = self._residual(state)
         psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
         return psi
 
-    def _degraded(self, state: State, of: Callable[[MaterialPoints], Float]) -> Float:
-        """Return ``phi (whole - closed) + closed`` of a number of the points (n_points, ...)."""
-        whole = of(self)
-        phi = self.driven(state).phi.reshape(-1, *(1,) * (whole.ndim - 1))
+    def _degraded(self, state: State, of: Callable[[PointLaws, Mask | None], Float]) -> Float:
+        """Return ``phi (whole - closed) + closed`` of a number of the points (n_points, ...).
+
+        ``of`` returns it for laws; the second argument marks the points for which it matters.
+        """
+        whole, phi = of(self.laws(state), None), self.driven(state).phi
+        each = phi.reshape(-1, *(1,) * (whole.ndim - 1))
         if self._closed is None:
-            return np.asarray(phi * whole)
-        closed = of(self._closed)
-        return np.asarray(phi * (whole - closed) + closed)
+            return np.asarray(each * whole)
+        closed = of(self._closed.laws(state), phi < 1.0)
+        return np.asarray(each * whole + (1.0 - each) * closed)
 
     def _residual(self, state: State) -> tuple[GlobalIndex, Float, Float]:
         """Return points that have failed at a state, their modulus [stress], and the symmetric part of F - I there.
@@ -494,12 +505,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         stretch, whole, sigma = self.laws(state).out_of_plane(F)
         # Both stresses are in the ratio of that of what is whole.
         current = np.divide(sigma, whole, out=np.ones_like(sigma), where=whole != 0.0)
-        P = self._degraded(state, lambda term: term.laws(state).out_of_plane(F)[1])
+        P = self._degraded(state, lambda laws, only: laws.out_of_plane(F)[1])
         return self._mean(stretch), self.mean_stress(P), self.mean_stress(P * current)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at other gradients F, with the damage of the state."""
-        return self._degraded(state, lambda term: term.laws(state).energy(F))
+        return self._degraded(state, lambda laws, only: laws.energy(F, only))
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials, and what the points have lost."""

@@ -254,17 +254,56 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
         """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
 
-        The width of a family is that along the largest strain as long as its point has not failed.
+        The width of a family is that across the crack that begins, as long as its point has not failed.
         """
         points, x = self.points, self.driven(state).x
         final = points.final.copy()
         ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
-            F = self.deformation(state)[ahead]
-            strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
-            final[ahead] = self._final(ahead, np.linalg.eigh(strain)[1][:, :, -1])
+            final[ahead] = self._final(ahead, self._across(state, ahead, x))
         kappa = np.maximum(points.kappa, x)
         return kappa, final, points.phi_of(kappa, final)
+
+    def _across(self, state: State, points: GlobalIndex, x: Float) -> Float:
+        """Return unit normals (n, dim) of the crack at some points, for the drives x of all points (collective).
+
+        The normal is the first principal direction of the mean of ``M_q`` over the members of the family. ``M_q`` is
+        the mean square of the relative displacements in the family of q, without rotation and compression, over that
+        of its bonds: ``M = <strain>^2 / dim + sum z (x) z / sum |xi|^2`` with the residual of the gradient,
+        ``z = eta - (F - I) xi``. Strain alone is oblique beside a tip; its shear cancels between the two sides.
+        """
+        cloud, operator, dim = self.body.cloud, self.operator, self.body.dim
+        gradient, u = super().deformation(state), state.u_local
+        near = np.flatnonzero(np.maximum(x, self.points.kappa) > NEAR_ONSET)
+        F, owner = gradient[near], operator.owner[near]
+        entries, first = _entries(operator.point_ptr, near)
+        members, size = operator.members[entries], np.diff(first)
+        xi, eta = (v[members] - np.repeat(v[owner], size, axis=0) for v in (cloud.x, u))
+        z = eta - np.einsum("eij,ej->ei", np.repeat(F - np.eye(dim), size, axis=0), xi)
+        strain = 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(dim)
+        if not self._linear:
+            z = np.einsum("eji,ej->ei", np.repeat(F, size, axis=0), z)
+            strain = 0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(dim))
+        stretch, axes = np.linalg.eigh(strain)
+        apart = np.zeros((operator.n_points, dim, dim))
+        apart[near] = np.einsum("pik,pk,pjk->pij", axes, np.maximum(stretch, 0.0) ** 2 / dim, axes)
+        if len(near):
+            square = np.add.reduceat(np.einsum("ei,ei->e", xi, xi), first[:-1])
+            apart[near] += np.add.reduceat(np.einsum("ei,ej->eij", z, z), first[:-1]) / square[:, None, None]
+        of_particles = np.zeros((cloud.n_local, dim, dim))
+        of_particles[: cloud.n_owned] = operator.mean_over_points(apart, cloud.n_owned)
+        cloud.halo.forward(of_particles)
+        if len(cloud.sign):
+            of_particles[cloud.n_owned :] *= np.einsum("gi,gj->gij", cloud.sign, cloud.sign)
+        if not len(points):
+            return np.empty((0, dim))
+        own = operator.owner[points]
+        begin = operator.point_ptr[operator.points_of[own]]
+        size = operator.point_ptr[operator.points_of[own + 1]] - begin
+        first = np.concatenate([[0], np.cumsum(size)])
+        entries = np.arange(first[-1]) + np.repeat(begin - first[:-1], size)
+        M = np.add.reduceat(of_particles[operator.members[entries]], first[:-1])
+        return np.asarray(np.linalg.eigh(M)[1][:, :, -1])
 
     def fading(self, state: State) -> float:
         """Return by how much a degradation factor would change at most [-]."""

@@ -30,8 +30,9 @@ class PointDamage(Declared):
     The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, the energy that damage takes away, and
     ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows from 1 to ``r``,
     ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every point whose
-    family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the largest
-    principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
+    family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family across the crack at
+    onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted. The normal of the crack is
+    the direction in which the families about the point have the largest relative displacements.
 
     Gradients and weights stay those of the intact body. All forces derive from the energy, and the tangent is
     symmetric where that of the material is. The energy of a material that flows is what it stores and what flow has

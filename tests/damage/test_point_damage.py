@@ -665,7 +665,7 @@ def test_halves_whose_points_share_dilatations_take_the_rows_of_patches_that_are
         damage=pd.PointDamage(pd.softening.Linear(), Gc=0.15, strength=0.8, split=pd.split.Volumetric()),
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
-            pd.Displacement(~left, x=lambda x, t: 0.6 * t**2 + 0.0 * x[:, 0], y=0.0),
+            pd.Displacement(~left, x=lambda x, t: 0.8 * t**2 + 0.0 * x[:, 0], y=0.0),
         ],
     )  # fmt: skip
     h = pd.run(case, output=tmp_path).history

@@ -208,7 +208,8 @@ class Dissipation(Declared):
     Parameters
     ----------
     step : float
-        Largest growth in a step [energy], positive; about what a crack dissipates that grows by a spacing.
+        Largest growth in a step, to first order [energy], positive; about what a crack dissipates that grows by a
+        spacing.
 
     Examples
     --------

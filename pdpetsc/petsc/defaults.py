@@ -82,7 +82,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:
-        # Conjugate gradients stop at a direction of negative curvature with one along which the energy falls.
+        # Conjugate gradients stop at negative curvature with a direction along which the energy falls, or rises.
         defaults["snes_max_linear_solve_fail"] = defaults["snes_max_it"]
     if choice.levels and problem.constrained:
         # A solve with conditions as unknowns preconditions, and is another one each time.

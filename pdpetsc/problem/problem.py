@@ -86,7 +86,7 @@ class Problem:
             self.bond_damage.driving_variable.take(points)
         self._last: State | None = None
         self._last_version = -1
-        # Stress-free deformation and rebuilds with the forces without strain that they give.
+        # Stress-free deformation and version with the forces without strain that they give.
         self._unstrained: tuple[FreeDeformation | None, int, Float] | None = None
 
     @property
@@ -208,9 +208,9 @@ class Problem:
         if self.body.expansion is None:
             return None
         state = State(self.body, np.zeros((self.body.cloud.n_rows, self.dim)), self.clock(t))
-        last, rebuilds = self._unstrained, self.rebuilds
-        if last is None or last[0] is not state.expansion or last[1] != rebuilds:
-            self._unstrained = last = state.expansion, rebuilds, self.force_of([self.material_term], state)
+        last, version = self._unstrained, self.version
+        if last is None or last[0] is not state.expansion or last[1] != version:
+            self._unstrained = last = state.expansion, version, self.force_of([self.material_term], state)
         return last[2]
 
     def force_of(self, terms: Sequence[Term], state: State) -> Float:

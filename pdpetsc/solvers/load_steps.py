@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 
 from pdpetsc.arrays import Float
@@ -26,7 +27,7 @@ GENTLE = 0.3
 SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
 # Newton is tried where a sweep of a minimisation changes no degradation factor by more than NEAR, and again where it
-# changes none by more than a tenth of that.
+# changes none by more than a hundredth of that.
 NEAR = 0.1
 # Why an equilibrium counts that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
@@ -166,12 +167,12 @@ def equilibrium(
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
     while not stop() and result.converged:
-        minima = damage_of(solver).forces_have_energy and problem.symmetric and solver.of_minima
-        if minima and result.negative_pivots:
+        if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum counts however far away it is. Conjugate gradients, which count no pivots, fail on other states.
-        attempt, result, change = followed(solver, attempt, result, target, 1.0 if minima else GENTLE)
-        if not result.converged or change > LAST or (minima and result.negative_pivots):
+        # A minimum counts however far away it is.
+        most = 1.0 if is_minimum(solver, result) else GENTLE
+        attempt, result, change = followed(solver, attempt, result, target, most)
+        if not result.converged or change > LAST or is_saddle(solver, result):
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:
@@ -187,6 +188,19 @@ def equilibrium(
     attempt, result, broken, sweeps = found
     judged = result.converged and not (damage_of(solver).forces_have_energy and result.reason != SETTLED_ONLY)
     return attempt, replace(result, growth=solver.growth(attempt) if judged else 0.0), broken, sweeps
+
+
+def is_saddle(solver: StepSolver, result: StepResult) -> bool:
+    """Return whether an equilibrium is known to be no minimum where one is sought."""
+    sought = damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
+    return sought and bool(result.negative_pivots)
+
+
+def is_minimum(solver: StepSolver, result: StepResult) -> bool:
+    """Return whether an equilibrium counts as a minimum of the energy: by its pivots, or by conjugate gradients."""
+    told = result.negative_pivots is not None or solver.meets_curvature
+    sought = damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
+    return sought and told and not result.negative_pivots
 
 
 def damage_of(solver: StepSolver) -> DamageModel:
@@ -290,8 +304,9 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
 
     A sweep is an equilibrium with damage held, found loosely, and damage at that equilibrium. Newton with damage that
     follows the displacement begins from there. Its answer counts if its tangent has no negative pivots, or along a
-    path. Where there is no such minimum nearby, sweeps go on until damage has settled. With conjugate gradients Newton
-    is that of Dembo1983: they stop at negative curvature, with a direction along which the energy falls.
+    path. Where there is no such minimum nearby, sweeps go on, with equilibria found to the tolerance of the run, until
+    damage has settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its
+    sign, and a step along which the energy rises is turned round.
 
     Parameters
     ----------
@@ -309,27 +324,26 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
     iterations, linear, near, load = 0, 0, NEAR, solver.load
     for sweep in range(1, most + 1):
         damage.freeze(True)
-        with solver.loosely():
+        with solver.loosely() if near >= LAST else nullcontext():
             u, result = solver.solve(u, target)
         iterations, linear, load = iterations + result.iterations, linear + result.linear_iterations, solver.load
+        result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
             return u, result, sweep
         change = problem.soften(solver.state(u))
-        if change > near:
+        if near < LAST and change <= LAST:
+            return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), sweep
+        if near < LAST or change > near:
             continue
         damage.freeze(False)
+        taken = damage.stored()
         attempt, closed = solver.solve(u, target)
-        if closed.converged and not (solver.of_minima and closed.negative_pivots):
-            attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if solver.of_minima else CLOSE)
+        if closed.converged and not is_saddle(solver, closed):
+            far = 1.0 if is_minimum(solver, closed) else GENTLE if solver.of_minima else CLOSE
+            attempt, closed, change = followed(solver, attempt, closed, target, far)
         iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
-        closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
-        if closed.converged and not (solver.of_minima and closed.negative_pivots) and change <= LAST:
-            return attempt, closed, sweep
-        solver.load, near = load, 0.1 * near
-        problem.soften(solver.state(u))
-        if near < LAST:
-            damage.freeze(True)
-            u, result = solver.solve(u, target)
-            if result.converged and problem.soften(solver.state(u)) <= CLOSE:
-                return u, replace(closed, converged=True, reason=SETTLED_ONLY, negative_pivots=None), sweep
+        if closed.converged and not is_saddle(solver, closed) and change <= LAST:
+            return attempt, replace(closed, iterations=iterations, linear_iterations=linear, easy=False), sweep
+        solver.load, near = load, 0.01 * near
+        problem.reset_bonds(taken)
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), most

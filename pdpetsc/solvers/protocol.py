@@ -265,6 +265,14 @@ class StepSolver(Solver):
     # Whether an equilibrium must be a minimum of the energy; along a path the load is no constant.
     of_minima: bool = True
 
+    @property
+    def meets_curvature(self) -> bool:
+        """Return whether linear solves meet directions along which the energy is not convex, if no pivots are counted.
+
+        Not collective.
+        """
+        return False
+
     def state(self, u: Float) -> State:
         """Return the state at unknowns and the step time of the last solve (collective)."""
         return self.problem.state(u, self.t)

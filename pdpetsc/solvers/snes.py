@@ -53,6 +53,8 @@ class SnesSolver(StepSolver):
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self.snes = PETSc.SNES().create(comm=self._comm)
+        # Whether the energy rises along the last step that the linear solver gave.
+        self._rises = False
 
     def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
         """Give SNES its functions, and SNES and linear solvers their options."""
@@ -166,10 +168,13 @@ class SnesSolver(StepSolver):
     def _pivots(self) -> int | None:
         """Return the negative pivots of the tangent, None unless it is what was factored.
 
-        Conjugate gradients that have met negative curvature tell of one at least.
+        Conjugate gradients that have met negative curvature, or gave a step along which the energy rises, tell of one
+        at least.
         """
         ksp = self._tangent_solver
-        if ksp is not None and ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT:
+        indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
+        solved = self.meets_curvature and self.snes.getIterationNumber() > 0
+        if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
         return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
 
@@ -195,9 +200,24 @@ class SnesSolver(StepSolver):
             return
         r.array = np.concatenate([residual.ravel() / self._scales.force, self._other_residuals(x)])
 
+    @property
+    def meets_curvature(self) -> bool:
+        """Return whether the linear solver is conjugate gradients."""
+        ksp = self._tangent_solver
+        return ksp is not None and ksp.getType() == "cg"
+
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
-        sought = self._equilibrium
+        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0.
+
+        Where forces have an energy, also damage included, a step along which it rises is turned round.
+        """
+        sought, damage = self._equilibrium, self.problem.damage
+        self._rises = False
+        if damage is not None and damage.forces_have_energy and self.problem.symmetric and self.of_minima:
+            # The step is -y, and the residual the derivative of the energy.
+            self._rises = self.snes.getFunction()[0].dot(y) < 0.0
+            if self._rises:
+                y.scale(-1.0)
         if not sought.resting:
             step = y.array_r * self._scales.length
             y.array = sought.held_in_place(step, self._read(x), self._answer, self._rtol) / self._scales.length

@@ -200,7 +200,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     @property
     def linear(self) -> bool:  # type: ignore[override]
         """Return whether forces are linear: damage is held and no crack can close."""
-        return self._linear and self.frozen and self._closed is None
+        return super().linear and self.frozen and self._closed is None
 
     @property
     def piecewise_linear(self) -> bool:
@@ -498,6 +498,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def cauchy_stress(self, state: State) -> Float:
         """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
         return self.mean_stress(self.laws(state).cauchy_of(self.stress(state), self.deformation(state)))
+
+    def energy_by_strain(self, state: State) -> Float:
+        """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
+        F = self.deformation(state)
+
+        def of(laws: PointLaws, only: Mask | None) -> Float:
+            S = np.zeros((len(F), 3, 3))
+            for law in laws.materials:
+                S[law.points] = law.energy_by_strain(F[law.points])
+            return S
+
+        return self._degraded(state, of)
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
         """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""

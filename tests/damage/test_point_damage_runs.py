@@ -22,7 +22,7 @@ import separation
 def test_halves_that_are_pulled_apart_take_the_declared_energy(curve, horizon):
     work, rest = separation.share_of_points(curve, horizon=horizon)
     assert work == pytest.approx(1.0, abs=2e-3)
-    assert rest == pytest.approx(0.0, abs=1e-9)
+    assert rest == pytest.approx(0.0, abs=1e-6)  # the residual stiffness of failed points
 
 
 @pytest.mark.parametrize("beam, n", [(gregoire_beam, 20), (gregoire_beam, 14), (mixed_mode_beam, 16)])

@@ -1,5 +1,6 @@
 """Displacements in any direction and displacements that depend on others, from outside the package."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -206,7 +207,7 @@ def test_a_linear_body_with_a_rigid_region_follows_a_straight_path(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), until=0.7)], ids=["events", "path"]
+    "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), most=40)], ids=["events", "path"]
 )
 def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
     """Its rollers are tied displacements in one case and prescribed components in the other.
@@ -218,10 +219,14 @@ def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
         "damage": pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0),
         "history": {"broken": pd.BrokenBonds()},
     }  # fmt: skip
-    straight = pd.run(
-        pulled(0.0, pd.BondBased(10.0), normals=False, shaken=0.1, **breaking), output=tmp_path / "straight"
-    )
-    turned = pd.run(pulled(0.7, pd.BondBased(10.0), shaken=0.1, **breaking), output=tmp_path / "turned")
+    cases = {
+        "straight": pulled(0.0, pd.BondBased(10.0), normals=False, shaken=0.1, **breaking),
+        "turned": pulled(0.7, pd.BondBased(10.0), shaken=0.1, **breaking),
+    }
+    for name, case in cases.items():
+        with contextlib.suppress(pd.SolveError):  # the path has more than 40 steps
+            pd.run(case, output=tmp_path / name)
+    straight, turned = (pd.open(tmp_path / name) for name in cases)
     two = np.flatnonzero(np.asarray(straight.history["broken"]) >= 2)
     until = slice(int(two[0]) + 1)
     assert np.array_equal(turned.history["broken"][until], straight.history["broken"][until])

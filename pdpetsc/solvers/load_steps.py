@@ -166,11 +166,12 @@ def equilibrium(
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
+    has_energy = damage_of(solver).forces_have_energy
     while not stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum counts however far away it is.
-        most = 1.0 if is_minimum(solver, result) else GENTLE
+        # A minimum counts however far away it is. Along a path the balance of energy judges how far a step may go.
+        most = 1.0 if is_minimum(solver, result) or (has_energy and not solver.of_minima) else GENTLE
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
             break

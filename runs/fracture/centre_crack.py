@@ -212,7 +212,7 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
 
     def results(h):
         peak = max(h["force"]) / WIDTH
-        turns = {"turn": h["turn"][-1], "turn_exact": float(np.degrees(kinked))}
+        turns = {"turn": h["turn"][-1], "turn_exact": float(np.degrees(kinked))} if turn != 0.0 else {}
         return {
             "peak_stress": peak,
             "griffith": griffith,
@@ -220,7 +220,7 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
             "strength": damage.strength,
             "cohesive_length": E * GC / damage.strength**2 / a,
             "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
-            **({} if turn == 0.0 else {name: value for name, value in turns.items() if np.isfinite(value)}),
+            **{name: value for name, value in turns.items() if np.isfinite(value)},
         }
 
     return pd.Case(

@@ -148,7 +148,7 @@ class BondDamage(Declared, ABC):
 
     @property
     def point_laws(self) -> list[Any]:
-        """Return the laws of gradient points, of which it is none."""
+        """Return no laws: this is a law of bonds."""
         return []
 
     def rehearsed(self) -> BondDamage:

@@ -204,7 +204,7 @@ class AssignedPointDamage:
 
     @property
     def varies(self) -> bool:
-        """Return whether a fracture energy is a function of place and direction."""
+        """Return True if a fracture energy is a function of place and direction."""
         return any(callable(law.Gc) for law in self.laws)
 
     def curves(self, owner: LocalIndex) -> CurvesAtPoints:
@@ -285,7 +285,7 @@ class FailingPoints:
 
     @property
     def gone(self) -> Mask:
-        """Return which points had failed at the last converged step (n_points,): nothing they do counts any more."""
+        """Mark the points that had failed at the last converged step (n_points,)."""
         return np.asarray((self.kappa >= self.final) & ~self.spared)
 
     def commit(self) -> None:

@@ -177,10 +177,8 @@ class LatticeGradient(GradientOperator):
         own, lattice, points = self.lattice.irregular, self.lattice, self.irregular.points_of
         found = np.empty((self.n_points, *values.shape[1:]))
         found[self.alone] = values[: points[own.n]]
-        first = lattice.of_shared(points[own.n : -1])
-        size = lattice.of_shared(np.diff(points)[own.n :])
-        together = np.flatnonzero(lattice.shared[self.owner])
-        found[together] = values[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(together))]
+        together = lattice.shared[self.owner]
+        found[together] = values[entries_of(points, lattice.represented_by[lattice.shared])[0]]
         return found
 
     def gradient(self, u: Float) -> Float:

@@ -517,7 +517,7 @@ def _failing(
 
 
 def _marking(body: Body) -> Marking:
-    """Return what marks the local particles of a body in a region."""
+    """Return a function that marks the local particles of a body in a region."""
 
     def mark(region: Region, what: str) -> Mask:
         marked = np.zeros(body.cloud.n_local)

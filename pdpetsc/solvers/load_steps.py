@@ -191,17 +191,20 @@ def equilibrium(
     return attempt, replace(result, growth=solver.growth(attempt) if judged else 0.0), broken, sweeps
 
 
+def seeks_minimum(solver: StepSolver) -> bool:
+    """Return True if an equilibrium has to be a minimum of an energy."""
+    return damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
+
+
 def is_saddle(solver: StepSolver, result: StepResult) -> bool:
-    """Return whether an equilibrium is known to be no minimum where one is sought."""
-    sought = damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
-    return sought and bool(result.negative_pivots)
+    """Return True if a minimum is sought and the equilibrium is known to be none."""
+    return seeks_minimum(solver) and bool(result.negative_pivots)
 
 
 def is_minimum(solver: StepSolver, result: StepResult) -> bool:
-    """Return whether an equilibrium counts as a minimum of the energy: by its pivots, or by conjugate gradients."""
+    """Return True if an equilibrium counts as a minimum of the energy, by its pivots or by conjugate gradients."""
     told = result.negative_pivots is not None or solver.meets_curvature
-    sought = damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
-    return sought and told and not result.negative_pivots
+    return seeks_minimum(solver) and told and not result.negative_pivots
 
 
 def damage_of(solver: StepSolver) -> DamageModel:

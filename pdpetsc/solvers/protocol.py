@@ -267,7 +267,7 @@ class StepSolver(Solver):
 
     @property
     def meets_curvature(self) -> bool:
-        """Return whether linear solves meet directions along which the energy is not convex, if no pivots are counted.
+        """Return True if the linear solver detects directions of negative curvature without counting pivots.
 
         Not collective.
         """

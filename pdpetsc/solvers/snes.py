@@ -202,7 +202,7 @@ class SnesSolver(StepSolver):
 
     @property
     def meets_curvature(self) -> bool:
-        """Return whether the linear solver is conjugate gradients."""
+        """Return True for conjugate gradients."""
         ksp = self._tangent_solver
         return ksp is not None and ksp.getType() == "cg"
 

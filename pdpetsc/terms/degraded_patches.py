@@ -11,11 +11,11 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Patches, Scheme, StencilMembers
-from pdpetsc.gradient.products import Product, SofteningProduct
+from pdpetsc.gradient.products import Product
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.terms.degraded_points import DegradedPoints, DrivingControl
+from pdpetsc.terms.degraded_points import DegradedPoints, DrivingControl, places_of
 from pdpetsc.terms.mean_dilatation import PatchPoints, Response
 
 
@@ -81,7 +81,7 @@ class DegradedPatchPoints(DegradedPoints):
         return self._sharing.dependents(marked)
 
     def admissible(self, state: State) -> bool:
-        """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
+        """Return True if materials are defined and, unless all are linear, ``det F > 0`` at all points."""
         self.laws(state)  # on every rank before one returns
         return self._sharing.admissible(state) and super().admissible(state)
 
@@ -146,14 +146,9 @@ class DegradedPatchPoints(DegradedPoints):
         entries, first = entries_of(patches.point_ptr, of)
         return StencilMembers(patches.owner[of], first, patches.members[entries])
 
-    def _softening(self, state: State) -> Product:
-        """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the particles of their patch."""
-        driven = self.driven(state)
-        active = np.flatnonzero(driven.fails)
-        active = active[np.argsort(self.patch_of_point[active], kind="stable")]  # stencils go with their owners
-        stencils, v = self._drive_gradient(state, active)
-        b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
-        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+    def _by_stencil(self, points: GlobalIndex) -> GlobalIndex:
+        """Return points in the ascending order of the owners of their patches."""
+        return points[np.argsort(self.patch_of_point[points], kind="stable")]
 
     def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:
         """Return the particles that drive some points, and ``v = dY/du`` of each (n_entries, dim) [stress / length]."""
@@ -176,7 +171,7 @@ class DegradedPatchPoints(DegradedPoints):
             families, m = self._control.families_at(some.owner), self._control.forces_at(state.u_local, some.owner)
             parts.append((families, m / np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]))
         for of, values in parts:
-            place = _places(of, order, stencils, self.body.cloud.n_local)
+            place = places_of(of, order, stencils, self.body.cloud.n_local)
             for i in range(self.body.dim):
                 v[:, i] += np.bincount(place, values[:, i], len(v))
         return stencils, v
@@ -186,19 +181,8 @@ def failing_points(
     scheme: Scheme, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
     factor: Float | None, damage_laws: AssignedPointDamage,
 ) -> Callable[[DrivingControl | None], DegradedPoints]:  # fmt: skip
-    """Return what makes the points of a scheme that fail, with the control that drives them (collective)."""
+    """Return a function that builds the failing points of a scheme from the control that drives them (collective)."""
     declared = body, operator, materials, material_of, factor, damage_laws
     if scheme.patches is None:
         return partial(DegradedPoints, *declared)
     return partial(DegradedPatchPoints, *declared, scheme.patches)
-
-
-def _places(of: StencilMembers, rows: GlobalIndex, stencils: StencilMembers, n_local: int) -> GlobalIndex:
-    """Return the place of each member of ``of`` (n_entries,) in stencils, of which it has these rows."""
-
-    def keys(number: GlobalIndex, one: StencilMembers) -> GlobalIndex:
-        return np.asarray(np.repeat(number, np.diff(one.point_ptr)) * np.int64(n_local) + one.members)
-
-    known = keys(np.arange(len(stencils.owner)), stencils)
-    order = np.argsort(known)
-    return np.asarray(order[np.searchsorted(known[order], keys(rows, of))])

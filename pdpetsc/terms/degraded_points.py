@@ -219,7 +219,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def lost(self) -> Mask | None:
-        """Return which points had failed at the last converged step."""
+        """Mark the points that had failed at the last converged step (n_points,)."""
         return self.points.gone
 
     @property
@@ -266,7 +266,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return Y
 
     def _unresolved_energy(self, state: State) -> Float:
-        """Return what drives points besides the energy of their F: ``psi_control`` (n_points,) [energy / volume]."""
+        """Return the part of Y that is no energy of F: ``psi_control`` (n_points,) [energy / volume]."""
         if self._control is None:
             return np.zeros(self.operator.n_points)
         return np.asarray((self._control.family_energy(state.u_local) / self._volume)[self.operator.owner])
@@ -448,10 +448,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
         points, driven = self.points, self.driven(state)
-        active = np.flatnonzero(driven.fails)
+        active = self._by_stencil(np.flatnonzero(driven.fails))
         stencils, v = self._drive_gradient(state, active)
         b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * points.onset_energy)
         return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+
+    def _by_stencil(self, points: GlobalIndex) -> GlobalIndex:
+        """Return points in the ascending order of the owners of their driving stencils."""
+        return points
 
     def dissipation_gradient(self, state: State) -> Float:
         """Return the derivative of the dissipated energy by the unknowns, of points that fail (n_rows, dim) [force].
@@ -475,14 +479,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
         families = self._control.families_at(some.owner)
         whole = self._control.forces_at(state.u_local, some.owner)
         whole /= np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]
-        place = _places(some, families, self.body.cloud.n_local)
+        place = places_of(some, np.arange(len(points)), families, self.body.cloud.n_local)
         for i in range(self.body.dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
         return families, whole
 
     def share(self, state: State) -> Float:
-        """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
-        return self._of_particles(self.driven(state).phi)
+        """Return the mean degradation factor of the points of each particle (n_owned,) [-], at least ``RESIDUAL``."""
+        return np.maximum(self._of_particles(self.driven(state).phi), RESIDUAL)
 
     def _of_particles(self, values: Float) -> Float:
         return np.asarray(self.operator.sum_over_points(self.operator.volume * values) / self._volume)
@@ -565,8 +569,8 @@ class DegradedControl(ControlForces):
     def at(self, state: State) -> Control:
         """Return the control with the degradation factor of each particle at a state."""
         points = self._points
-        share = np.maximum(points.share(state), RESIDUAL)
-        return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
+        key = "degraded control", points.version, points.frozen
+        return state.kept(key, lambda: self.control.scaled(points.share(state)))
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
         """Return the data of its forces at a state."""
@@ -586,13 +590,12 @@ def _fan(dim: int) -> Float:
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
-def _places(of: StencilMembers, families: StencilMembers, n_local: int) -> GlobalIndex:
-    """Return the place of each member of stencils (n_entries,) among those of the families with the same numbers."""
+def places_of(of: StencilMembers, rows: GlobalIndex, stencils: StencilMembers, n_local: int) -> GlobalIndex:
+    """Return the place of each member of ``of`` (n_entries,) in stencils, of which it has these rows."""
 
-    def keys(stencils: StencilMembers) -> GlobalIndex:
-        number = np.repeat(np.arange(len(stencils.owner)), np.diff(stencils.point_ptr))
-        return np.asarray(number * np.int64(n_local) + stencils.members)
+    def keys(number: GlobalIndex, one: StencilMembers) -> GlobalIndex:
+        return np.asarray(np.repeat(number, np.diff(one.point_ptr)) * np.int64(n_local) + one.members)
 
-    known = keys(families)
+    known = keys(np.arange(len(stencils.owner)), stencils)
     order = np.argsort(known)
-    return np.asarray(order[np.searchsorted(known[order], keys(of))])
+    return np.asarray(order[np.searchsorted(known[order], keys(rows, of))])

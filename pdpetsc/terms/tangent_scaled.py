@@ -18,7 +18,7 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
-from pdpetsc.terms.degraded_points import RESIDUAL, DegradedControl, DegradedPoints, DrivingControl
+from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints, DrivingControl
 from pdpetsc.terms.material_points import MaterialPoints
 
 
@@ -167,22 +167,18 @@ class DegradedTangentScaled(TangentScaledForces):
         """Return the control with the secant stiffness and the degradation factor of each particle at a state."""
         points = self._points
         key = "degraded control", self.version, points.version, points.frozen
-        return state.kept(key, lambda: self.families(state).secant.scaled(self._left(state)))
+        return state.kept(key, lambda: self.families(state).secant.scaled(self._points.share(state)))
 
     def energy(self, state: State) -> float:
         """Return the energy of the control, with what its yielding has lost, that damage has left."""
-        return float(self._left(state) @ self._yielding.energy(self.families(state).e))
+        return float(self._points.share(state) @ self._yielding.energy(self.families(state).e))
 
     def linearise(self, state: State) -> list[Product]:
         """Return the secant and ``share_i b_i m_i (x) m_i`` of the families, damage held."""
         families = self.families(state)
-        bend = self._left(state) * self._yielding.bend(families.e)
+        bend = self._points.share(state) * self._yielding.bend(families.e)
         n = self.body.cloud.n_owned
         return [self.at(state), RankOneProduct(self._members, n, families.forces, families.forces, bend)]
-
-    def _left(self, state: State) -> Float:
-        """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
-        return np.maximum(self._points.share(state), RESIDUAL)
 
 
 def degraded_control(

@@ -49,7 +49,7 @@ class Measure(ABC):
         """Return by how much it may still grow."""
 
     def overshot(self, u: Float, load: float) -> bool:
-        """Return whether a step that could only prescribe the load factor has let it grow too far."""
+        """Return True if it grew too far in a step that could only prescribe the load factor."""
         return False
 
     @abstractmethod
@@ -171,7 +171,7 @@ class DissipationMeasure(Measure):
         return 0.0 if dissipated is None else dissipated
 
     def overshot(self, u: Float, load: float) -> bool:
-        """Return whether more than the energy of a step has been dissipated."""
+        """Return True if the step dissipated more than its energy."""
         return self.reached(u, load) - self._before > self._step
 
     def left(self, u: Float) -> float:

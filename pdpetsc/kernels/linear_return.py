@@ -1,142 +1,143 @@
 """Radial return of J2 plasticity with linear hardening, exact in one step, with what surrounds it in one loop.
 
-It is what ``material.j2`` does for any hardening law, for the commonest one in about two thirds of the time in a plane.
-A history has G first, then the elastic strain out of plane, and alpha last.
+It is what ``material.j2`` does for any hardening law, for the commonest one in a third of the time. A history has G
+first, then the elastic strain out of plane, and alpha last.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.principal import principal_axes, principal_tangent, reference_axes, unload
+from pdpetsc.kernels.principal_rows import BLOCK, new_frame, open_frame, unload, write_stress, write_tangent
+
+
+class Returned(NamedTuple):
+    """What a block of points returns to, a row for each component.
+
+    Attributes
+    ----------
+    tau, direction : (3, BLOCK) float64
+        Principal Kirchhoff stresses [stress] and the unit direction of flow [-].
+    theta, theta_bar, growth : (BLOCK,) float64
+        Factors of the moduli [-], and what alpha grows by [-].
+    """
+
+    tau: Any
+    direction: Any
+    theta: Any
+    theta_bar: Any
+    growth: Any
 
 
 @compiled
-def _trial(F, history, dim, E, C, stretch, N, n, strain):  # type: ignore[no-untyped-def]
-    """Write the stretches of ``F G``, their directions n, N and all three trial strains."""
-    for i in range(dim):
-        for j in range(dim):
-            E[i, j] = 0.0
-            for k in range(dim):
-                E[i, j] += F[i, k] * history[k * dim + j]
-    principal_axes(E, dim, C, stretch, N, n)
-    for a in range(3):
-        strain[a] = np.log(stretch[a]) if a < dim else 0.0
-    if dim == 2:
-        strain[2] = history[dim * dim]
+def _new_returned():  # type: ignore[no-untyped-def]
+    return Returned(np.zeros((3, BLOCK)), np.zeros((3, BLOCK)), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
 
 
 @compiled
-def _return(strain, alpha, constants, dim, tau, flow):  # type: ignore[no-untyped-def]
-    """Return ``(theta, theta_bar, d_alpha)`` and fill stresses and unit flow direction; ``strain`` becomes elastic."""
+def _return(F, points, history, constants, frame, back):  # type: ignore[no-untyped-def]
+    """Open the frames of points and return to the yield surface; the strains of the frame become elastic."""
     lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
-    count = 1 if dim == 1 else 3
-    stiff = 2.0 * mu if dim == 1 else 3.0 * mu
-    trace = 0.0
-    for a in range(count):
-        trace += strain[a]
-    mean = 0.0 if dim == 1 else trace / 3.0
-    square = 0.0
-    for a in range(count):
-        square += (strain[a] - mean) ** 2
-    size = np.sqrt(square)
-    q = 2.0 * mu * size * (1.0 if dim == 1 else np.sqrt(1.5))
-    d_alpha = 0.0
-    theta = 1.0
-    theta_bar = 0.0
-    if q > y + H * alpha:
-        d_alpha = (q - y - H * alpha) / (stiff + H)
-        theta = 1.0 - stiff * d_alpha / q
-        theta_bar = stiff / (stiff + H) - (1.0 - theta)
-    for a in range(count):
-        flow[a] = (strain[a] - mean) / size if size > 0.0 else 0.0
-        strain[a] = mean + theta * (strain[a] - mean)
-        tau[a] = lam * trace + 2.0 * mu * strain[a]
-    return theta, theta_bar, d_alpha
+    dim, n = F.shape[1], points.size
+    open_frame(F, points, history, frame)
+    one, two, three = frame.strain
+    if dim == 2:
+        for r in range(n):
+            three[r] = history[r, 4]
+    # A bar has one strain, which flows as a whole: its modulus against flow is that of its own.
+    count, stiff, share, scale = (1, 2.0 * mu, 0.0, 1.0) if dim == 1 else (3, 3.0 * mu, 1.0 / 3.0, np.sqrt(1.5))
+    last = history.shape[1] - 1
+    for r in range(n):
+        trace = one[r] + two[r] + three[r]
+        mean = share * trace
+        a, b, c = one[r] - mean, two[r] - mean, three[r] - mean
+        size = np.sqrt(a * a + b * b + c * c)
+        q, limit = 2.0 * mu * scale * size, y + H * history[r, last]
+        flows = q > limit
+        growth = (q - limit) / (stiff + H) if flows else 0.0
+        theta = 1.0 - stiff * growth / q if flows else 1.0
+        back.growth[r], back.theta[r] = growth, theta
+        back.theta_bar[r] = stiff / (stiff + H) - (1.0 - theta) if flows else 0.0
+        unit = 1.0 / size if size > 0.0 else 0.0
+        back.direction[0, r], back.direction[1, r], back.direction[2, r] = unit * a, unit * b, unit * c
+        one[r], two[r], three[r] = mean + theta * a, mean + theta * b, mean + theta * c
+        back.tau[0, r] = lam * trace + 2.0 * mu * one[r]
+        back.tau[1, r] = lam * trace + 2.0 * mu * two[r]
+        back.tau[2, r] = lam * trace + 2.0 * mu * three[r]
+    for a in range(count, 3):
+        frame.strain[a, :n] = 0.0
 
 
 @compiled
 def linear_out_of_plane(F, constants, history, P):  # type: ignore[no-untyped-def]
     """Write the stress across the plane of every point of a body in plane strain."""
-    E, C, N, n = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
-    stretch, strain, tau, flow = np.empty(2), np.empty(3), np.empty(3), np.empty(3)
-    for p in range(len(F)):
-        _trial(F[p], history[p], 2, E, C, stretch, N, n, strain)
-        _return(strain, history[p, -1], constants, 2, tau, flow)
-        P[p] = tau[2]
+    select, frame, back = np.arange(len(F)), new_frame(2), _new_returned()
+    for first in range(0, len(F), BLOCK):
+        points = select[first : first + BLOCK]
+        _return(F, points, history[first : first + BLOCK], constants, frame, back)
+        P[first : first + BLOCK] = back.tau[2, : points.size]
 
 
-@lru_cache
-def linear_return_loops(dim: int) -> tuple[Any, Any, Any, Any]:
-    """Return loops for stress, tangent, energy and commit, as ``HistoryKernels`` has them."""
+@compiled
+def _stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
+    frame, back = new_frame(F.shape[1]), _new_returned()
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        _return(F, points, history[first : first + BLOCK], constants, frame, back)
+        write_stress(back.tau, points, frame, P)
 
-    @compiled
-    def stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
-        E, C, N, n = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        stretch, strain, tau, flow = np.empty(dim), np.empty(3), np.empty(3), np.empty(3)
-        for r in range(select.size):
-            p = select[r]
-            _trial(F[p], history[r], dim, E, C, stretch, N, n, strain)
-            _return(strain, history[r, -1], constants, dim, tau, flow)
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for a in range(dim):
-                        C[i, j] += tau[a] / stretch[a] * n[i, a] * N[j, a]
-            for i in range(dim):
-                for j in range(dim):
-                    P[p, i, j] = 0.0
-                    for k in range(dim):
-                        P[p, i, j] += C[i, k] * history[r, j * dim + k]
 
-    @compiled
-    def tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
-        mu = constants[1]
-        E, C, N, n = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        M, moduli, shear = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        stretch, strain, tau, flow = np.empty(dim), np.empty(3), np.empty(3), np.empty(3)
-        third = 0.0 if dim == 1 else 1.0 / 3.0
-        bulk = constants[0] + 2.0 * mu * third
-        for r in range(select.size):
-            p = select[r]
-            _trial(F[p], history[r], dim, E, C, stretch, N, n, strain)
-            theta, theta_bar, _ = _return(strain, history[r, -1], constants, dim, tau, flow)
-            reference_axes(history[r], N, dim, M)
-            for a in range(dim):
-                for b in range(dim):
-                    moduli[a, b] = bulk - 2.0 * mu * (theta * third + theta_bar * flow[a] * flow[b])
-                moduli[a, a] += 2.0 * mu * theta
-            shear[:] = 2.0 * mu * theta
-            principal_tangent(dim, stretch, tau, moduli, shear, n, M, A[p])
+@compiled
+def _tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
+    dim, mu, frame, back = F.shape[1], constants[1], new_frame(F.shape[1]), _new_returned()
+    moduli, shear = np.empty_like(frame.M), np.empty_like(frame.M)
+    third = 0.0 if dim == 1 else 1.0 / 3.0
+    bulk = constants[0] + 2.0 * mu * third
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        _return(F, points, history[first : first + BLOCK], constants, frame, back)
+        for a in range(dim):
+            for b in range(dim):
+                s, t, x, y = moduli[a, b], shear[a, b], back.direction[a], back.direction[b]
+                for r in range(points.size):
+                    t[r] = 2.0 * mu * back.theta[r]
+                    s[r] = bulk - third * t[r] - 2.0 * mu * back.theta_bar[r] * x[r] * y[r]
+                if a == b:
+                    for r in range(points.size):
+                        s[r] += t[r]
+        write_tangent(back.tau, moduli, shear, points, frame, A)
 
-    @compiled
-    def energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
-        lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
-        E, C, N, n = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        stretch, strain, tau, flow = np.empty(dim), np.empty(3), np.empty(3), np.empty(3)
-        for r in range(select.size):
-            p = select[r]
-            _trial(F[p], history[r], dim, E, C, stretch, N, n, strain)
-            _, _, d_alpha = _return(strain, history[r, -1], constants, dim, tau, flow)
-            alpha = history[r, -1] + d_alpha
-            trace = strain[0] + strain[1] + strain[2]
-            square = strain[0] ** 2 + strain[1] ** 2 + strain[2] ** 2
-            psi[p] = 0.5 * lam * trace * trace + mu * square + 0.5 * H * alpha * alpha + y * alpha
 
-    @compiled
-    def commit(F, select, constants, history):  # type: ignore[no-untyped-def]
-        E, C, N, n = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        stretch, strain, tau, flow = np.empty(dim), np.empty(3), np.empty(3), np.empty(3)
-        for r in range(select.size):
-            _trial(F[select[r]], history[r], dim, E, C, stretch, N, n, strain)
-            _, _, d_alpha = _return(strain, history[r, -1], constants, dim, tau, flow)
-            unload(strain, stretch, N, n, dim, E, C, history[r])
+@compiled
+def _energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
+    lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
+    frame, back, last = new_frame(F.shape[1]), _new_returned(), history.shape[1] - 1
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        _return(F, points, history[first : first + BLOCK], constants, frame, back)
+        one, two, three = frame.strain
+        for r in range(points.size):
+            alpha = history[first + r, last] + back.growth[r]
+            trace, square = one[r] + two[r] + three[r], one[r] ** 2 + two[r] ** 2 + three[r] ** 2
+            psi[points[r]] = 0.5 * lam * trace * trace + mu * square + 0.5 * H * alpha * alpha + y * alpha
+
+
+@compiled
+def _commit(F, select, constants, history):  # type: ignore[no-untyped-def]
+    dim, frame, back, last = F.shape[1], new_frame(F.shape[1]), _new_returned(), history.shape[1] - 1
+    for first in range(0, select.size, BLOCK):
+        points, block = select[first : first + BLOCK], history[first : first + BLOCK]
+        _return(F, points, block, constants, frame, back)
+        unload(frame.strain, frame, block)
+        for r in range(points.size):
             if dim == 2:
-                history[r, dim * dim] = strain[2]
-            history[r, -1] += d_alpha
+                block[r, 4] = frame.strain[2, r]
+            block[r, last] += back.growth[r]
 
-    return stress, tangent, energy, commit
+
+def linear_return_loops() -> tuple[Any, Any, Any, Any]:
+    """Return loops for stress, tangent, energy and commit, as ``HistoryKernels`` has them, of any dimension."""
+    return _stress, _tangent, _energy, _commit

@@ -2,93 +2,118 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.eigen import symmetric_eigen
-from pdpetsc.kernels.principal import principal_tangent, reference_axes, unload
+from pdpetsc.kernels.principal_rows import BLOCK, new_frame, open_frame, unload, write_stress, write_tangent
 
 
-class LogarithmicLoops(NamedTuple):
-    """Compiled loops over points ``select``, whose rows of ``history`` begin with ``G = F_p^-1``.
+class Trial(NamedTuple):
+    """Trial strains of points, with what stress and tangent are made of.
 
-    ``trial(F, select, history, strain, stretch, N, n)`` writes logarithmic strains (n, 3), 0 where F does not show
-    them, and stretches (n, dim) of ``F G`` with their directions (n, dim, dim), columns of ``N`` in the unloaded and of
-    ``n`` in the current state. ``stress(select, history, tau, stretch, N, n, P)`` and ``tangent(select, history, tau,
-    moduli, shear, stretch, N, n, A)`` write at ``select``; ``shear`` holds ``(tau_a - tau_b) / (eps_a - eps_b)``.
-    ``commit(history, elastic, stretch, N, n)`` makes G that of elastic strains (n, 3).
+    Attributes
+    ----------
+    strain : (n, 3) float64
+        Logarithmic strains of ``F G`` [-], 0 where F does not show them.
+    stretch : (n, dim) float64
+        Its stretches [-].
+    n, M : (n, dim, dim) float64
+        Principal directions, columns: in the current state, and ``G N`` of those in the unloaded state.
     """
 
-    trial: Any
-    stress: Any
-    tangent: Any
-    commit: Any
+    strain: Any
+    stretch: Any
+    n: Any
+    M: Any
 
 
-@lru_cache
-def logarithmic_loops(dim: int) -> LogarithmicLoops:
-    """Return the loops for dimension ``dim``."""
+def trial(F: Any, select: Any, history: Any) -> Trial:
+    """Return the trial strains at points of F (all points, dim, dim).
 
-    # Trial strains and stresses are written out here, with a dimension that the compiler knows: shared functions of one
-    # point, for which it is a variable, take twice the time.
-    @compiled
-    def trial(F, select, history, strain, stretch, N, n):  # type: ignore[no-untyped-def]
-        E, C = np.empty((dim, dim)), np.empty((dim, dim))
-        for r in range(select.size):
-            p = select[r]
+    Rows of ``history`` begin with ``G = F_p^-1``; without columns G is 1.
+    """
+    n, dim = len(select), F.shape[-1]
+    found = Trial(np.zeros((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim)))
+    _trial(F, select, history, found)
+    return found
+
+
+@compiled
+def _trial(F, select, history, found):  # type: ignore[no-untyped-def]
+    frame, dim = new_frame(F.shape[1]), F.shape[1]
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        open_frame(F, points, history[first : first + BLOCK], frame)
+        for a in range(dim):
+            for r in range(points.size):
+                found.strain[first + r, a] = frame.strain[a, r]
+                found.stretch[first + r, a] = frame.stretch[a, r]
             for i in range(dim):
-                for j in range(dim):
-                    E[i, j] = 0.0
-                    for k in range(dim):
-                        E[i, j] += F[p, i, k] * history[r, k * dim + j]
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for k in range(dim):
-                        C[i, j] += E[k, i] * E[k, j]
-            symmetric_eigen(C, stretch[r], N[r])
-            for a in range(3):
-                strain[r, a] = 0.0
-            for a in range(dim):
-                strain[r, a] = 0.5 * np.log(stretch[r, a])
-                stretch[r, a] = np.sqrt(stretch[r, a])
-                for i in range(dim):
-                    value = 0.0
-                    for k in range(dim):
-                        value += E[i, k] * N[r, k, a]
-                    n[r, i, a] = value / stretch[r, a]
+                for r in range(points.size):
+                    found.n[first + r, i, a] = frame.n[i, a, r]
+                    found.M[first + r, i, a] = frame.M[i, a, r]
 
-    @compiled
-    def stress(select, history, tau, stretch, N, n, P):  # type: ignore[no-untyped-def]
-        C = np.empty((dim, dim))
-        for r in range(select.size):
-            p = select[r]
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for a in range(dim):
-                        C[i, j] += tau[r, a] / stretch[r, a] * n[r, i, a] * N[r, j, a]
-            for i in range(dim):
-                for j in range(dim):
-                    value = 0.0
-                    for k in range(dim):
-                        value += C[i, k] * history[r, j * dim + k]
-                    P[p, i, j] = value
 
-    @compiled
-    def tangent(select, history, tau, moduli, shear, stretch, N, n, A):  # type: ignore[no-untyped-def]
-        M = np.empty((dim, dim))
-        for r in range(select.size):
-            reference_axes(history[r], N[r], dim, M)
-            principal_tangent(dim, stretch[r], tau[r], moduli[r], shear[r], n[r], M, A[select[r]])
+@compiled
+def _frame(trial, first, last, frame):  # type: ignore[no-untyped-def]
+    """Take over some points of ``trial``."""
+    dim = frame.n.shape[0]
+    for a in range(dim):
+        for r in range(last - first):
+            frame.stretch[a, r] = trial.stretch[first + r, a]
+        for i in range(dim):
+            for r in range(last - first):
+                frame.n[i, a, r] = trial.n[first + r, i, a]
+                frame.M[i, a, r] = trial.M[first + r, i, a]
 
-    @compiled
-    def commit(history, elastic, stretch, N, n):  # type: ignore[no-untyped-def]
-        E, C = np.empty((dim, dim)), np.empty((dim, dim))
-        for r in range(len(elastic)):
-            unload(elastic[r], stretch[r], N[r], n[r], dim, E, C, history[r])
 
-    return LogarithmicLoops(trial, stress, tangent, commit)
+@compiled
+def stress(select, tau, trial, P):  # type: ignore[no-untyped-def]
+    """Write P at points of P (all points, dim, dim) from principal Kirchhoff stresses (n, dim or 3)."""
+    frame = new_frame(P.shape[1])
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        _frame(trial, first, first + points.size, frame)
+        _rows(tau, first, points.size, frame.strain)
+        write_stress(frame.strain, points, frame, P)
+
+
+@compiled
+def _rows(values, first, n, rows):  # type: ignore[no-untyped-def]
+    """Write values (all, k) of a block of points as rows."""
+    for a in range(values.shape[1]):
+        for r in range(n):
+            rows[a, r] = values[first + r, a]
+
+
+@compiled
+def tangent(select, tau, moduli, shear, trial, A):  # type: ignore[no-untyped-def]
+    """Write A at points of A (all points, dim, dim, dim, dim).
+
+    ``moduli`` (n, k, k) holds ``d tau_a / d eps_b``, ``shear`` (n, dim, dim) ``(tau_a - tau_b) / (eps_a - eps_b)``.
+    """
+    dim, frame = A.shape[1], new_frame(A.shape[1])
+    slopes, factors = np.empty_like(frame.M), np.empty_like(frame.M)
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        _frame(trial, first, first + points.size, frame)
+        _rows(tau, first, points.size, frame.strain)
+        for a in range(dim):
+            for b in range(dim):
+                for r in range(points.size):
+                    slopes[a, b, r] = moduli[first + r, a, b]
+                    factors[a, b, r] = shear[first + r, a, b]
+        write_tangent(frame.strain, slopes, factors, points, frame, A)
+
+
+@compiled
+def commit(history, elastic, trial):  # type: ignore[no-untyped-def]
+    """Make G, at the beginning of rows of ``history``, that of elastic strains (n, 3)."""
+    frame = new_frame(trial.n.shape[1])
+    for first in range(0, len(history), BLOCK):
+        block = history[first : first + BLOCK]
+        _frame(trial, first, first + len(block), frame)
+        _rows(elastic, first, len(block), frame.strain)
+        unload(frame.strain, frame, block)

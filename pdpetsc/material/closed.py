@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.kernels.logarithmic import logarithmic_loops
+from pdpetsc.kernels.logarithmic import Trial, stress, tangent, trial
 from pdpetsc.kernels.of_strain import strain_loops
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 from pdpetsc.material.logarithmic import shear_factors
@@ -140,29 +140,21 @@ class LogarithmicClosed(ClosedPart):
     """Of the logarithmic strain."""
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
-        _, _, strain, _, N, _ = _frame(F)
-        return strain[:, : F.shape[-1]], N
+        found = _trial(F)
+        return found.strain[:, : F.shape[-1]], found.M
 
     def _stress(self, F: Float, kept: Principal) -> Float:
         P = np.empty_like(F)
-        select, history, _, stretch, N, n = _frame(F)
-        logarithmic_loops(F.shape[-1]).stress(select, history, kept.stress, stretch, N, n, P)
+        stress(np.arange(len(F)), kept.stress, _trial(F), P)
         return P
 
     def _tangent(self, F: Float, kept: Principal) -> Float:
-        dim = F.shape[-1]
+        found, dim = _trial(F), F.shape[-1]
         A = np.empty((len(F), *(dim,) * 4))
-        select, history, strain, stretch, N, n = _frame(F)
-        shear = shear_factors(strain[:, : kept.stress.shape[1]], kept.stress, kept.moduli, dim)
-        moduli = np.ascontiguousarray(kept.moduli[:, :dim, :dim])
-        logarithmic_loops(dim).tangent(select, history, kept.stress, moduli, shear, stretch, N, n, A)
+        shear = shear_factors(found.strain[:, : kept.stress.shape[1]], kept.stress, kept.moduli, dim)
+        tangent(np.arange(len(F)), kept.stress, kept.moduli, shear, found, A)
         return A
 
 
-def _frame(F: Float) -> tuple[GlobalIndex, Float, Float, Float, Float, Float]:
-    """Return points, inverse plastic parts, strains (n, 3), stretches and both sets of principal directions."""
-    n, dim = len(F), F.shape[-1]
-    select, history = np.arange(n), np.tile(np.eye(dim).ravel(), (n, 1))
-    found = np.empty((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim))
-    logarithmic_loops(dim).trial(np.ascontiguousarray(F), select, history, *found)
-    return select, history, *found
+def _trial(F: Float) -> Trial:
+    return trial(np.ascontiguousarray(F), np.arange(len(F)), np.empty((len(F), 0)))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.principal import principal_tangent, right_axes
+from pdpetsc.kernels.principal_rows import BLOCK, new_frame, open_frame, write_stress, write_tangent
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
@@ -42,7 +41,7 @@ class Hencky(ElasticMaterial):
 
     def kernels(self, dim: int) -> PointKernels:
         """Return the compiled loops for dimension ``dim``."""
-        return _kernels(dim)
+        return PointKernels(_stress, _tangent, _energy)
 
     def volumetric_strain(self, F: Float) -> Float:
         """Return ``ln J``."""
@@ -54,76 +53,53 @@ class Hencky(ElasticMaterial):
         return stretch
 
 
-@lru_cache
-def _kernels(dim: int) -> PointKernels:
-    @compiled
-    def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        C = np.empty((dim, dim))
-        N = np.empty((dim, dim))
-        S = np.empty((dim, dim))
-        squares = np.empty(dim)
-        for p in select:
-            right_axes(F[p], dim, C, squares, N)
-            trace = 0.0
-            for a in range(dim):
-                trace += 0.5 * np.log(squares[a])
-            S[:] = 0.0
-            for a in range(dim):
-                factor = (lam * trace + mu * np.log(squares[a])) / squares[a]
-                for i in range(dim):
-                    for j in range(dim):
-                        S[i, j] += factor * N[i, a] * N[j, a]
-            for i in range(dim):
-                for j in range(dim):
-                    value = 0.0
-                    for k in range(dim):
-                        value += F[p, i, k] * S[k, j]
-                    P[p, i, j] = value
+@compiled
+def _stress(F, select, constants, P):  # type: ignore[no-untyped-def]
+    lam, mu, none, frame = constants[0], constants[1], np.empty((0, 0)), new_frame(F.shape[1])
+    trace = np.empty(BLOCK)
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        open_frame(F, points, none, frame)
+        _kirchhoff(frame, lam, mu, trace, points.size)
+        write_stress(frame.strain, points, frame, P)
 
-    @compiled
-    def tangent(F, select, constants, A):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        C = np.empty((dim, dim))
-        N = np.empty((dim, dim))
-        n = np.empty((dim, dim))
-        stretch = np.empty(dim)
-        strain = np.empty(dim)
-        tau = np.empty(dim)
-        moduli = np.full((dim, dim), lam)
-        for a in range(dim):
-            moduli[a, a] += 2.0 * mu
-        shear = np.full((dim, dim), 2.0 * mu)
-        for p in select:
-            right_axes(F[p], dim, C, stretch, N)
-            trace = 0.0
-            for a in range(dim):
-                strain[a] = 0.5 * np.log(stretch[a])
-                stretch[a] = np.sqrt(stretch[a])
-                trace += strain[a]
-            for a in range(dim):
-                tau[a] = lam * trace + 2.0 * mu * strain[a]
-                for i in range(dim):
-                    value = 0.0
-                    for k in range(dim):
-                        value += F[p, i, k] * N[k, a]
-                    n[i, a] = value / stretch[a]
-            principal_tangent(dim, stretch, tau, moduli, shear, n, N, A[p])
 
-    @compiled
-    def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        C = np.empty((dim, dim))
-        N = np.empty((dim, dim))
-        squares = np.empty(dim)
-        for p in select:
-            right_axes(F[p], dim, C, squares, N)
-            trace = 0.0
-            square = 0.0
-            for a in range(dim):
-                strain = 0.5 * np.log(squares[a])
-                trace += strain
-                square += strain * strain
-            psi[p] = 0.5 * lam * trace * trace + mu * square
+@compiled
+def _tangent(F, select, constants, A):  # type: ignore[no-untyped-def]
+    lam, mu, none, frame = constants[0], constants[1], np.empty((0, 0)), new_frame(F.shape[1])
+    trace, moduli, shear = np.empty(BLOCK), np.empty_like(frame.H), np.full_like(frame.H, 2.0 * mu)
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        open_frame(F, points, none, frame)
+        _kirchhoff(frame, lam, mu, trace, points.size)
+        moduli[:] = lam
+        for a in range(F.shape[1]):
+            moduli[a, a] = lam + 2.0 * mu
+        write_tangent(frame.strain, moduli, shear, points, frame, A)
 
-    return PointKernels(stress, tangent, energy)
+
+@compiled
+def _kirchhoff(frame, lam, mu, trace, n):  # type: ignore[no-untyped-def]
+    """Turn logarithmic strains into principal Kirchhoff stresses."""
+    dim = frame.stretch.shape[0]
+    trace[:n] = 0.0
+    for a in range(dim):
+        e = frame.strain[a]
+        for r in range(n):
+            trace[r] += e[r]
+    for a in range(dim):
+        e = frame.strain[a]
+        for r in range(n):
+            e[r] = lam * trace[r] + 2.0 * mu * e[r]
+
+
+@compiled
+def _energy(F, select, constants, psi):  # type: ignore[no-untyped-def]
+    lam, mu, none, frame = constants[0], constants[1], np.empty((0, 0)), new_frame(F.shape[1])
+    for first in range(0, select.size, BLOCK):
+        points = select[first : first + BLOCK]
+        open_frame(F, points, none, frame)
+        one, two, three = frame.strain
+        for r in range(points.size):
+            trace, square = one[r] + two[r] + three[r], one[r] ** 2 + two[r] ** 2 + three[r] ** 2
+            psi[points[r]] = 0.5 * lam * trace * trace + mu * square

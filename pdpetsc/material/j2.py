@@ -76,7 +76,7 @@ class J2(Yields, LogarithmicMaterial):
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return compiled loops for linear hardening, else those around ``respond``."""
-        return HistoryKernels(*linear_return_loops(dim)) if self._linear_loops(dim) else super().history_kernels(dim)
+        return HistoryKernels(*linear_return_loops()) if self._linear_loops(dim) else super().history_kernels(dim)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return it in closed form in a bar with linear hardening, whose plastic strain keeps its volume."""

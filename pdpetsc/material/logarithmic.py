@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.kernels.logarithmic import logarithmic_loops
+from pdpetsc.kernels.logarithmic import Trial, commit, stress, tangent, trial
 from pdpetsc.material.base import Kind
 from pdpetsc.material.stepped import Step, SteppedMaterial, condensed
 
@@ -39,15 +39,6 @@ class Response(NamedTuple):
     moduli: Float | None
     elastic: Float
     state: Float
-
-
-class _Axes(NamedTuple):
-    """Trial strains, all three of them, with stretches and directions of a block of points."""
-
-    strain: Float
-    stretch: Float
-    N: Float
-    n: Float
 
 
 @dataclass(frozen=True)
@@ -109,31 +100,26 @@ class LogarithmicMaterial(SteppedMaterial):
     def _state(self, history: Float, dim: int) -> Float:
         return history[:, dim * dim + KEPT :]
 
-    def _trial(self, F: Float, points: GlobalIndex, history: Float, kind: Kind) -> _Axes:
-        dim, n = F.shape[-1], len(points)
-        axes = _Axes(np.empty((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim)))
-        logarithmic_loops(dim).trial(np.ascontiguousarray(F), points, history, *axes)
+    def _trial(self, F: Float, points: GlobalIndex, history: Float, kind: Kind) -> Trial:
+        found = trial(np.ascontiguousarray(F), points, history)
         if kind == "strain":
-            axes.strain[:, 2] = history[:, dim * dim]
-        return axes
+            found.strain[:, 2] = history[:, F.shape[-1] ** 2]
+        return found
 
     def _write_stress(self, step: Step, P: Float) -> None:
-        axes = step.frame
-        loops = logarithmic_loops(P.shape[-1])
-        loops.stress(step.points, step.history, step.response.tau, axes.stretch, axes.N, axes.n, P)
+        stress(step.points, step.response.tau, step.frame, P)
 
     def _write_tangent(self, step: Step, A: Float) -> None:
-        axes, (tau, moduli, _, _), dim = step.frame, step.response, A.shape[-1]
-        shear, moduli = shear_factors(axes.strain, tau, moduli, dim), np.ascontiguousarray(condensed(moduli, step.kind))
-        loops = logarithmic_loops(dim)
-        loops.tangent(step.points, step.history, tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
+        tau, moduli = step.response.tau, np.ascontiguousarray(condensed(step.response.moduli, step.kind))
+        shear = shear_factors(step.frame.strain, tau, moduli, A.shape[-1])
+        tangent(step.points, tau, moduli, shear, step.frame, A)
 
     def _energy(self, step: Step) -> Float:
         return self.energy(step.response.elastic, step.response.state)
 
     def _remember(self, step: Step, dim: int) -> None:
         axes, response, history, first = step.frame, step.response, step.history, dim * dim
-        logarithmic_loops(dim).commit(history, response.elastic, axes.stretch, axes.N, axes.n)
+        commit(history, response.elastic, axes)
         if step.kind in ("stress", "bar"):
             history[:, first + 1] += axes.strain[:, 2] - history[:, first]
         history[:, first] = response.elastic[:, 2]

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import os
 
+# One thread per rank, unless the user says otherwise: BLAS reads this when numpy is first imported, in a script of the
+# user's perhaps before pdpetsc.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Compiled parts that may not fit each other, in the order in which they are loaded.
 COMPILED = {"numpy": "numpy", "numba": "numba", "mpi4py": "mpi4py.MPI", "h5py": "h5py"}
 # What extension modules say that were built for another numpy than the one that is there.

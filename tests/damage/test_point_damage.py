@@ -269,9 +269,11 @@ def strip(folder):
 
 
 @pytest.mark.processors
-@pytest.mark.parametrize(
-    "words", [(), ("scheme=sub_horizons", "law=exponential"), ("parts=1",)], ids=["one point", "sectors", "parts"]
-)
+@pytest.mark.parametrize("words", [
+    pytest.param((), id="one point"),
+    pytest.param(("scheme=sub_horizons", "law=exponential"), id="sectors", marks=pytest.mark.long),
+    pytest.param(("parts=1",), id="parts", marks=pytest.mark.long),
+])  # fmt: skip
 def test_a_strip_fails_alike_on_any_ranks_and_after_a_restart(words, tmp_path):
     path = strip(tmp_path)
     results(path, *words, output=tmp_path / "1")
@@ -315,11 +317,9 @@ def test_units_do_not_matter(unit, tmp_path):
     assert iterations[0] == iterations[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words, energy, J", [
-    ((), 0.04, 0.06),
-    pytest.param(("law=exponential",), 0.04, 0.06, marks=pytest.mark.long),
-    pytest.param(("scheme=sub_horizons",), 0.04, 0.08, marks=pytest.mark.long),
-    pytest.param(("angle=22.5",), 0.06, 0.08, marks=pytest.mark.long),
+    (("law=exponential",), 0.04, 0.06), (("scheme=sub_horizons",), 0.04, 0.08), (("angle=22.5",), 0.06, 0.08),
 ])  # fmt: skip
 def test_a_running_crack_takes_the_declared_energy(words, energy, J, tmp_path):
     words = ("damage=point", "end=26", "steps=40", *words)
@@ -434,7 +434,9 @@ TOGETHER = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TOGETHER)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.long] * (name == "relaxation")) for name in TOGETHER
+])  # fmt: skip
 def test_a_sheet_takes_the_energy_of_its_crack_whatever_it_is_declared_with(name, tmp_path):
     result = pd.run(torn(**TOGETHER[name]), output=tmp_path)
     h = {one: np.asarray(values) for one, values in result.history.items()}
@@ -455,7 +457,7 @@ def halves(left=STRONG, right=STRONG, between=WEAK, **changes):
     return pd.DamageOf({"left": LEFT, "right": ~LEFT}, laws, **changes)
 
 
-@pytest.mark.parametrize("horizon", [2.015, 3.015])
+@pytest.mark.parametrize("horizon", [2.015, pytest.param(3.015, marks=pytest.mark.long)])
 def test_an_interface_fails_at_its_own_strength_and_energy(horizon, tmp_path):
     """A sheet of two materials tears between them, and nothing else is damaged."""
     right, left = pd.region.Slab("x", low=20.0), pd.region.Slab("x", high=2.0)

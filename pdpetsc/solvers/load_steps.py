@@ -21,14 +21,13 @@ GROWTH = 1.5
 # Newton's answer counts where it changes no degradation factor by more than this: a larger jump has passed unstable
 # states, and round-off decides which of the states beyond them is found.
 GENTLE = 0.3
-# Damage has settled where a sweep changes no degradation factor by more than SETTLED and Newton with damage that
-# follows the displacement then changes none by more than CLOSE; where that fails, where a sweep changes none by more
-# than LAST. There are at most SWEEPS of them.
-SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
+# Damage has settled where a sweep changes no degradation factor by more than LAST. There are at most SWEEPS of them.
+LAST = 1e-10
 SWEEPS = 1000
-# Newton is tried where a sweep of a minimisation changes no degradation factor by more than NEAR, and again where it
-# changes none by more than a hundredth of that.
-NEAR = 0.1
+# Newton with damage that follows the displacement is tried where a sweep changes no degradation factor by more than
+# NEAR, if forces have an energy. Else sweeps and Newton leave different damage on the way to the same equilibrium:
+# Newton is tried where damage has settled to SETTLED, and counts if it then changes no factor by more than CLOSE.
+NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
 # Why an equilibrium counts that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's answer and the damage at it agree; after that sweeps take over.
@@ -250,10 +249,15 @@ def settle(
 ) -> tuple[Float, StepResult, int, int]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
-    A sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement ends the
-    search: what is returned is in equilibrium with its own damage. Bonds of a law that lets them heal do not heal in
-    sweeps, which might never end then, and break only where damage has settled; the last Newton lets them heal and must
-    converge.
+    A sweep leaves equilibrium with the damage before it. Where it changes little, Newton with damage that follows the
+    displacement begins from there, and its answer, which is in equilibrium with its own damage, ends the search. Where
+    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots.
+    After an answer that does not count sweeps go on until they change ten times less, in the end until damage has
+    settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its sign, and a
+    step along which the energy rises is turned round.
+
+    Bonds of a law that lets them heal do not heal in sweeps, which might never end then, and break only where damage
+    has settled; the last Newton lets them heal and must converge.
 
     Parameters
     ----------
@@ -266,88 +270,44 @@ def settle(
     -------
     As ``equilibrium``.
     """
-    damage = damage_of(solver)
-    if damage.forces_have_energy:
-        u, result, sweeps = minimise(solver, u, target, most)
-        return u, result, 0, sweeps
-    reversible = damage.reversible
-    damage.freeze(True)
+    damage, problem = damage_of(solver), solver.problem
+    reversible, energy = damage.reversible, damage.forces_have_energy
+    near, loose = NEAR if energy else SETTLED, energy
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
-        u, result = solver.solve(u, target)
-        iterations, linear = iterations + result.iterations, linear + result.linear_iterations
-        if not result.converged:
-            return u, result, broken, sweep
-        change = solver.problem.soften(solver.state(u))
-        more = 0 if reversible and change >= SETTLED else fail(u)
-        if change < SETTLED and not more:
-            damage.freeze(False)
-            load = solver.load
-            attempt, closed = solver.solve(u, target)
-            if closed.converged:
-                attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if reversible else CLOSE)
-            damage.freeze(True)
-            iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
-            if closed.converged and change <= LAST:
-                u, result = attempt, closed
-                more = fail(u)
-            elif reversible:
-                reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
-                return u, replace(closed, converged=False, reason=reason), broken, sweep
-            else:
-                solver.load = load
-        broken += more
-        if change < LAST and not more:
-            result = replace(result, reason=SETTLED_ONLY, iterations=iterations, linear_iterations=linear, easy=False)
-            return u, result, broken, sweep
-    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most
-
-
-def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Float, StepResult, int]:
-    """Find a minimum of the energy at ``target``: sweeps, which lower it, until Newton converges to one.
-
-    A sweep is an equilibrium with damage held, found loosely, and damage at that equilibrium. Newton with damage that
-    follows the displacement begins from there. Its answer counts if its tangent has no negative pivots, or along a
-    path. Where there is no such minimum nearby, sweeps go on, with equilibria found to the tolerance of the run, until
-    damage has settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its
-    sign, and a step along which the energy rises is turned round.
-
-    Parameters
-    ----------
-    most : int
-        Largest number of sweeps.
-
-    Returns
-    -------
-    u, result
-        As ``StepSolver.solve``.
-    sweeps : int
-        Number of sweeps.
-    """
-    damage, problem = damage_of(solver), solver.problem
-    iterations, linear, near, load = 0, 0, NEAR, solver.load
-    for sweep in range(1, most + 1):
         damage.freeze(True)
-        with solver.loosely() if near >= LAST else nullcontext():
+        with solver.loosely() if loose else nullcontext():
             u, result = solver.solve(u, target)
-        iterations, linear, load = iterations + result.iterations, linear + result.linear_iterations, solver.load
+        iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
-            return u, result, sweep
+            return u, result, broken, sweep
         change = problem.soften(solver.state(u))
-        if near < LAST and change <= LAST:
-            return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), sweep
-        if near < LAST or change > near:
+        more = 0 if reversible and change >= SETTLED else fail(u)
+        broken += more
+        if change <= LAST and near < LAST and not more:
+            return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), broken, sweep
+        if more or change > near or near < LAST:
             continue
         damage.freeze(False)
-        taken = damage.stored()
+        taken, load, tried = damage.stored(), solver.load, change
         attempt, closed = solver.solve(u, target)
         if closed.converged and not is_saddle(solver, closed):
-            far = 1.0 if is_minimum(solver, closed) else GENTLE if solver.of_minima else CLOSE
+            far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
         iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+        closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
         if closed.converged and not is_saddle(solver, closed) and change <= LAST:
-            return attempt, replace(closed, iterations=iterations, linear_iterations=linear, easy=False), sweep
-        solver.load, near = load, 0.01 * near
-        problem.reset_bonds(taken)
-    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), most
+            damage.freeze(not energy)
+            more = fail(attempt)
+            if not more:
+                return attempt, closed, broken, sweep
+            u, broken = attempt, broken + more
+        elif reversible:
+            reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
+            return u, replace(closed, converged=False, reason=reason), broken, sweep
+        else:
+            solver.load, near = load, 0.1 * tried
+            loose &= near >= LAST
+            problem.reset_bonds(taken)
+    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most

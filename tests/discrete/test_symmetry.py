@@ -441,8 +441,8 @@ def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path)
     # Laws of softening have kinks, at which differences are of both sides; and an attempt that fails may end so near to
     # states without forces that differences reach them.
     kinks = name in ("softening", "gradients", "families")
-    assert np.isnan(ratios).sum() <= kinks
-    assert np.nanmax(ratios) < (1e-5 if kinks else 1e-6)
+    off = ~(ratios < (1e-5 if kinks else 1e-6))
+    assert off.sum() <= (2 if kinks else 0)
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])

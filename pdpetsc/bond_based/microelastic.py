@@ -112,8 +112,9 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     size = bonds.relative_size(1)
     weight = 0.5 * bonds.omega * bonds.length * (bonds.share_inside / size)[families.centres]
     n = families.bonds(cloud.x) / bonds.length[:, None]
-    C = np.einsum("b,bi,bj,bk,bl->ijkl", weight * cloud.volume[families.neighbours], n, n, n, n, optimize=True)
-    C = total(cloud.comm, C)
+    square = (n[:, :, None] * n[:, None, :]).reshape(len(n), -1)
+    fourth = (square * (weight * cloud.volume[families.neighbours])[:, None]).T @ square
+    C = total(cloud.comm, fourth.reshape((cloud.dim,) * 4))
     stiff = np.einsum("aaaa->a", C)
     # One row of particles has a stiffness along itself alone.
     axis = int(np.argmax(stiff > NO_STIFFNESS * stiff.max()))

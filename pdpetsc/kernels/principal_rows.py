@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 
 # Points of a block: enough for the loops over them to be long, few enough for their rows to stay in the first cache.
@@ -128,6 +129,32 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
                     b = N[k, a]
                     for r in range(n):
                         s[r] += history[r, i * dim + k] * b[r]
+
+
+def symmetric_axes(S: Float) -> tuple[Float, Float]:
+    """Return principal values (n, dim), in no order, and directions, columns of (n, dim, dim), of symmetric tensors."""
+    values, N = np.empty(S.shape[:2]), np.empty_like(S)
+    _symmetric_axes(S, values, N)
+    return values, N
+
+
+@compiled
+def _symmetric_axes(S, values, N):  # type: ignore[no-untyped-def]
+    dim = S.shape[1]
+    frame = new_frame(dim)
+    for first in range(0, len(S), BLOCK):
+        n = min(BLOCK, len(S) - first)
+        for i in range(dim):
+            for j in range(dim):
+                for r in range(n):
+                    frame.C[i, j, r] = S[first + r, i, j]
+        _diagonalise(frame.C, frame.N, n)
+        for i in range(dim):
+            for r in range(n):
+                values[first + r, i] = frame.C[i, i, r]
+            for j in range(dim):
+                for r in range(n):
+                    N[first + r, i, j] = frame.N[i, j, r]
 
 
 @compiled

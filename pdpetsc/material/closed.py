@@ -12,6 +12,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.logarithmic import Trial, stress, tangent, trial
 from pdpetsc.kernels.of_strain import strain_loops
+from pdpetsc.kernels.principal_rows import symmetric_axes
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 from pdpetsc.material.logarithmic import shear_factors
 
@@ -112,7 +113,7 @@ class SmallClosed(_OfStrain):
     strain_measure: ClassVar[Literal["small"]] = "small"
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
-        return np.linalg.eigh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))
+        return symmetric_axes(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))
 
     def _stress(self, F: Float, kept: Principal) -> Float:
         return self._of_strain(F, kept)
@@ -125,7 +126,7 @@ class GreenClosed(_OfStrain):
     """Of Green's strain ``(F^T F - I) / 2``."""
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
-        return np.linalg.eigh(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
+        return symmetric_axes(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
 
     def _stress(self, F: Float, kept: Principal) -> Float:
         return np.asarray(F @ self._of_strain(F, kept))

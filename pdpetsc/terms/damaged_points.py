@@ -171,10 +171,12 @@ class DamagedPoints(MaterialPoints):
 
     def linearise(self, state: State) -> list[Product]:
         """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the ``phi`` if it is not frozen."""
-        T = self.damage.phi(state)
-        A, h = Moduli(self.laws(state).moduli(self.deformation(state))), self.scaled_weights(T)
-        softening = self._softening(state) if self.damage.bonds.softens else []
-        return [PointProduct(self.operator, A, h, lambda: self._share(T)), *softening]
+        T, softens = self.damage.phi(state), self.damage.bonds.softens
+        A = Moduli(self.laws(state).moduli(self.deformation(state)))
+        # Where bonds are broken or whole, forces have the weights of the gradient, and a control may share the loop.
+        whole = not softens and bool(np.all((T == 0.0) | (T == 1.0)))
+        h = None if whole else self.scaled_weights(T)
+        return [PointProduct(self.operator, A, h, lambda: self._share(T)), *(self._softening(state) if softens else [])]
 
     def _share(self, T: Float) -> Float:
         """Return the mean degradation factor of the bonds that are left to each own particle (n_owned,) [-]."""

@@ -14,6 +14,7 @@ from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
+from pdpetsc.kernels.principal_rows import symmetric_axes
 from pdpetsc.material.base import Material
 from pdpetsc.material.point_laws import PointLaws
 from pdpetsc.problem.body import Body
@@ -304,7 +305,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         if not self._linear:
             z = np.einsum("eji,ej->ei", np.repeat(F, size, axis=0), z)
             strain = 0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(dim))
-        stretch, axes = np.linalg.eigh(strain)
+        stretch, axes = symmetric_axes(strain)
         apart = np.zeros((operator.n_points, dim, dim))
         apart[near] = np.einsum("pik,pk,pjk->pij", axes, np.maximum(stretch, 0.0) ** 2 / dim, axes)
         if len(near):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.kernels.principal_rows import symmetric_axes
 
 SIZES = [1e-9, 1e-4, 0.05, 0.3, 0.9]
 
@@ -60,3 +61,18 @@ def test_a_point_does_not_see_the_others_of_its_block(dim, name, rng):
         found += [P, A, psi, after]
     for one, other in zip(together, alone, strict=True):
         assert np.allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(one).max(initial=0.0))
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_axes_of_symmetric_tensors_put_them_together_again(dim, rng):
+    """Of any size, with equal values, one entry alone, and zero."""
+    S = rng.standard_normal((300, dim, dim)) * 10.0 ** rng.integers(-12, 12, 300)[:, None, None]
+    S[::5] = np.eye(dim)
+    S[1::5] *= np.eye(dim)
+    S[2::50] = 0.0
+    S += S.transpose(0, 2, 1)
+    values, N = symmetric_axes(S)
+    size = 1e-14 * np.abs(S).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(np.einsum("pia,pa,pja->pij", N, values, N) - S) <= 4.0 * size).all()
+    assert np.abs(np.einsum("pia,pib->pab", N, N) - np.eye(dim)).max() < 1e-14
+    assert (np.abs(np.sort(values) - np.linalg.eigvalsh(S)) <= 4.0 * size[:, 0]).all()

@@ -17,8 +17,8 @@ from pdpetsc.material.base import ElasticMaterial, PointKernels
 class Hencky(ElasticMaterial):
     r"""Hencky material, ``tau = lambda tr(eps) I + 2 mu eps`` with ``eps = 1/2 ln(F F^T)``.
 
-    ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T``; the tangent is that of ``kernels.principal_rows`` with
-    moduli ``lambda + 2 mu delta_ab``.
+    ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T``; the tangent is that of
+    ``kernels.principal_rows`` with moduli ``lambda + 2 mu delta_ab``.
 
     Parameters
     ----------

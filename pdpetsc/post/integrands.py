@@ -202,13 +202,10 @@ class OfPoints(Integrands):
             by_strain = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1] + S[:, 1, 0], S[:, 2, 2]], axis=1)
             found += np.einsum("pc,pcm->pm", by_strain, slope)
         if temperature is not None:
-            F = term.deformation(self.state)
-            by, slope = np.zeros(len(F)), self._slopes_at_points(temperature[:, None])[:, 0]
             low, high = range_on_ranks(self.solution, temperature)
             step = LAW_STEP * (high - low) if high > low else 1.0
-            for law in term.laws(self.state).materials:
-                by[law.points] = law.energy_by_temperature(F[law.points], temperature[owner[law.points]], step)
-            found += by[:, None] * slope
+            by = term.energy_by_temperature(self.state, temperature, step)
+            found += by[:, None] * self._slopes_at_points(temperature[:, None])[:, 0]
         return term.operator.sum_over_points(self.share[:, None] * found)
 
     def released(self, shifts: Sequence[Float], step: float) -> Float:

@@ -22,7 +22,7 @@ from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
-from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.material_points import MaterialPoints, energy_by_temperature
 
 # Points whose drive is above this share of that of the onset take the final drive of their own direction.
 NEAR_ONSET = 0.5
@@ -515,6 +515,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
             return S
 
         return self._degraded(state, of)
+
+    def energy_by_temperature(self, state: State, temperature: Float, step: float) -> Float:
+        """Return it with what has been lost (n_points,)."""
+        F, at = self.deformation(state), temperature[self.operator.owner]
+        return self._degraded(state, lambda laws, only: energy_by_temperature(laws, F, at, step))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
         """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""

@@ -594,6 +594,32 @@ def test_pressure_does_no_damage_at_any_temperature(material, tmp_path):
     assert result.gathered(pd.local_damage).max() == 0.0
 
 
+def test_energy_by_temperature_is_that_of_what_is_left(tmp_path):
+    """Moduli that fall in proportion: the derivative is a share of the energy, also of points that have failed."""
+
+    class Difference(pd.Quantity):
+        def evaluate(self, solution):
+            term, state = solution.problem.material_term, solution.state
+            by = term.energy_by_temperature(state, state.temperature, 1e-3)
+            psi = term.conjugates(state)[2]
+            return solution.largest(float(np.abs(by * (100.0 - state.temperature[0]) + psi).max()))
+
+    def material(T):
+        return dataclasses.replace(LINEAR, E=100.0 - T)
+
+    case = torn(
+        material=pd.Thermal(material(0.0), 0.0, law=material), damage=FLOWS, steps=pd.Steps(8),
+        conditions=[
+            pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.3),
+            pd.Temperature(pd.region.All(), -20.0),
+        ],
+        history={"off": Difference(), "lost": pd.Largest(pd.local_damage), "stored": pd.StrainEnergy()},
+    )  # fmt: skip
+    h = pd.run(case, output=tmp_path).history
+    assert h["lost"][-1] > 0.5
+    assert np.max(h["off"]) < 1e-7 * h["stored"][-1]
+
+
 def test_points_that_have_failed_do_not_flow_on(tmp_path):
     flow = {"flow": pd.Largest(pd.plastic_strain), "lost": pd.Largest(pd.local_damage)}
     h = pd.run(dataclasses.replace(torn(**TOGETHER["flow"]), history=flow), output=tmp_path).history

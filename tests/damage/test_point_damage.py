@@ -617,7 +617,7 @@ def test_energy_by_temperature_is_that_of_what_is_left(tmp_path):
     )  # fmt: skip
     h = pd.run(case, output=tmp_path).history
     assert h["lost"][-1] > 0.5
-    assert np.max(h["off"]) < 1e-7 * h["stored"][-1]
+    assert np.max(h["off"]) < 1e-7 * np.max(h["stored"])  # failed points keep a stiffness of 1e-8
 
 
 def test_points_that_have_failed_do_not_flow_on(tmp_path):

@@ -207,7 +207,7 @@ def test_a_linear_body_with_a_rigid_region_follows_a_straight_path(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), most=40)], ids=["events", "path"]
+    "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), most=45)], ids=["events", "path"]
 )
 def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
     """Its rollers are tied displacements in one case and prescribed components in the other.
@@ -224,7 +224,7 @@ def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
         "turned": pulled(0.7, pd.BondBased(10.0), shaken=0.1, **breaking),
     }
     for name, case in cases.items():
-        with contextlib.suppress(pd.SolveError):  # the path has more than 40 steps
+        with contextlib.suppress(pd.SolveError):  # the path has more than 45 steps
             pd.run(case, output=tmp_path / name)
     straight, turned = (pd.open(tmp_path / name) for name in cases)
     two = np.flatnonzero(np.asarray(straight.history["broken"]) >= 2)
@@ -232,6 +232,28 @@ def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
     assert np.array_equal(turned.history["broken"][until], straight.history["broken"][until])
     t = np.asarray(straight.history["t"])
     assert np.allclose(turned.history["t"][until], t[until], rtol=0.0, atol=1e-7 * t.max())
+
+
+def test_every_step_of_a_path_lets_the_measure_grow(tmp_path):
+    """Also where Newton fails first: without the forces of the step before, the measure had no weight then."""
+
+    class Driven(pd.Quantity):
+        def evaluate(self, solution):
+            drives = solution.problem.damage.driving_values(solution.state)
+            return solution.largest(float(drives[solution.problem.damage.bonds.intact].max()))
+
+    case = pulled(
+        0.0, pd.BondBased(10.0), normals=False, shaken=0.1, scheme=None, control=None,
+        solver=pd.PathFollowing(pd.BondStretch(0.2), most=45),
+        damage=pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0),
+        history={"broken": pd.BrokenBonds(), "driven": Driven()},
+    )  # fmt: skip
+    with contextlib.suppress(pd.SolveError):  # the path has more than 45 steps
+        pd.run(case, output=tmp_path)
+    h = pd.open(tmp_path).history
+    whole, grown = np.diff(h["broken"]) == 0, np.diff(h["driven"])
+    assert len(grown) == 45 and h["broken"][-1] > 2
+    assert np.abs(grown[whole]).min() > 1e-4
 
 
 def test_temperature_and_tied_displacements_are_found_together(tmp_path):

@@ -32,6 +32,8 @@ JUMP, PATIENCE = 0.4, 0.05
 SWEEPS = 100
 # Largest number of solves that bring bonds back which take over from broken ones and are driven further than those.
 BACK = 20
+# By how much the measure may miss what it should be after a solve, over its step.
+MISSED = 0.02
 # Names under which a checkpoint keeps the step of the measure, the largest forces [force], the highest load factor [-],
 # and the forces of the last equilibrium [force].
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
@@ -81,7 +83,8 @@ class PathSolver(SnesSolver):
         # Change of the unknowns with the load factor where the independent ones do not move [length].
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
         self._measure = measure_of(problem, options.measure)
-        self._force = 1.0
+        # Forces of the last converged step, and what the constraint weighs beside them.
+        self._carried, self._force = 0.0, 1.0
         self._highest = 0.0
         self._target = 0.0
         # Load factor where a solve begins, and what resists the prescribed unknowns of load factor 1 there.
@@ -133,7 +136,8 @@ class PathSolver(SnesSolver):
         # A checkpoint of load stepping has none of these numbers.
         at_first = (options.measure.step, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
-        step, highest, self._highest, self._equilibrium.reference = known
+        step, highest, self._highest, self._carried = known
+        self._equilibrium.reference = self._carried
         failures: list[StepResult] = []
         self._balance = balance = EnergyBalance(self.problem, self.problem.state(u, load), start.resume)
         converged = 0
@@ -169,7 +173,7 @@ class PathSolver(SnesSolver):
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
-            highest = max(highest, result.reference)
+            highest, self._carried = max(highest, result.reference), result.reference
             self._highest = max(self._highest, abs(load))
             if result.easy:
                 step = min(step * GROWTH, options.measure.step)
@@ -191,9 +195,7 @@ class PathSolver(SnesSolver):
         """Find equilibrium where the measure has grown by ``t`` since the last converged step, from ``u``."""
         sought, of = self._equilibrium, self._constraint
         self._target = t
-        self._force = (
-            max(sought.reference, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
-        )
+        self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
         sought.impose(self.load, *(self.load * one for one in self._whole))
         if sought.begin(u):
             self._bordered.renew()
@@ -206,6 +208,11 @@ class PathSolver(SnesSolver):
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
+        if converged:
+            grown = of.grown(self._comm, sought.at_prescribed(values), load)
+            unit = self._options.first if of.share else self._options.measure.step
+            if not abs(grown - t) <= MISSED * unit:
+                converged, sought.reason = False, "the measure did not grow by what it should"
         self.load = self.t = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), linear + more)
         if converged:

@@ -36,6 +36,7 @@ def command(environment, *words):
     return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
+@pytest.mark.long
 def test_the_doctor_says_that_petsc_was_built_for_another_numpy(tmp_path):
     """That is what pip leaves beside Debian's petsc4py, which is built for numpy 1: no traceback, and what to do."""
     said = "raise ValueError('numpy.dtype size changed, may indicate binary incompatibility')"

@@ -280,6 +280,7 @@ def test_a_path_follows_what_is_driven_most(tmp_path):
     assert h["force"][-1] < 0.1 * K * limit
 
 
+@pytest.mark.long
 def test_a_bond_that_fails_in_compression_as_well(tmp_path):
     """It snaps at the closed-form load either way; no law alone knows its energy, so that work less energy does."""
     limit = 0.01
@@ -473,6 +474,7 @@ def test_a_family_that_has_lost_its_bonds_has_no_dilatation(rng):
     assert model.material_term.dissipated_energy() is None
 
 
+@pytest.mark.long
 def test_a_body_of_state_based_bonds_comes_apart_and_its_energies_balance(tmp_path):
     """What the supports have done is stored or dissipated; the pieces carry nothing and store nothing."""
     changes = {"scheme": None, "control": None, "material": pd.LinearSolid(E=100.0, nu=0.2)}

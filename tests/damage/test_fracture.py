@@ -352,6 +352,7 @@ def test_energy_balances_while_bonds_soften(tmp_path):
     assert np.all(np.diff(h["dissipated"]) > -1e-15)
 
 
+@pytest.mark.long
 def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
     """From one bond at a time to thousands at once."""
     found = {}
@@ -365,6 +366,7 @@ def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
     assert found[1]["broken_bonds"] < found[5000]["broken_bonds"]
 
 
+@pytest.mark.long
 def test_a_closed_crack_carries_compression(tmp_path):
     """A bar of bonds that snap is pulled apart and pressed: as stiff as it was, but for nothing that is pulled."""
     ends = pd.region.Slab("x", high=2.0), pd.region.Slab("x", low=10.0)

@@ -516,6 +516,7 @@ def case(n=4, E=1.0, label=None, kill=False):
 """
 
 
+@pytest.mark.long
 def test_what_a_run_is_of_is_all_that_its_case_declares_and_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("case.py").write_text(MESHED)

@@ -11,7 +11,7 @@ run: .venv/ready
 	.ci/mpirun 2 $(PYTHON) -m pdpetsc runs/beams/clamped.py ny=5 -o out/clamped
 
 test: .venv/ready
-	@echo "The default tests take about 6 minutes on two cores, and 4 more at first, when kernels are compiled."
+	@echo "The default tests take 6 to 12 minutes on two cores, and 4 more at first, when kernels are compiled."
 	$(PYTHON) -m pytest -n auto --maxprocesses 4
 
 long: .venv/ready

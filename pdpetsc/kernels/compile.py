@@ -9,6 +9,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -43,8 +44,19 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     except (RuntimeError, OSError) as error:  # no folder can be written to
         note(error)
     else:
+        # The machine code of a kernel has that of the kernels in it that it calls, perhaps of other files: numba looks
+        # at the file of the kernel alone, and would go on with those of before an update.
+        index = jit._cache._cache_file
+        index._source_stamp = index._source_stamp, sources()
         jit._cache = _Forgiving(jit._cache)
     return cast(Callable[..., Any], jit)
+
+
+@lru_cache
+def sources() -> tuple[tuple[str, int, int], ...]:
+    """Return name, time of change and size of the files of kernels."""
+    found = sorted(Path(__file__).parent.glob("*.py"))
+    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in found)
 
 
 def cache_trouble() -> str:

@@ -583,6 +583,16 @@ def test_a_damaged_cache_is_compiled_anew_and_mended(ending, content, cached):
     assert sum(again.stats.cache_hits.values()) == 1
 
 
+def test_a_kernel_is_compiled_anew_where_another_one_has_changed(cached, monkeypatch):
+    """It may call that one, whose machine code is then in its own."""
+    assert kernel(cached)(2.0) == 4.0
+    same = kernel(cached)
+    assert same(2.0) == 4.0 and sum(same.stats.cache_hits.values()) == 1
+    monkeypatch.setattr("pdpetsc.kernels.compile.sources", lambda: (("principal_rows.py", 1, 2),))
+    other = kernel(cached)
+    assert other(2.0) == 4.0 and sum(other.stats.cache_hits.values()) == 0
+
+
 def test_a_full_disk_costs_the_cache_only(cached, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")

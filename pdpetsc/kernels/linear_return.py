@@ -48,7 +48,7 @@ def _return(F, points, history, constants, frame, back):  # type: ignore[no-unty
         for r in range(n):
             three[r] = history[r, 4]
     # A bar has one strain, which flows as a whole: its modulus against flow is that of its own.
-    count, stiff, share, scale = (1, 2.0 * mu, 0.0, 1.0) if dim == 1 else (3, 3.0 * mu, 1.0 / 3.0, np.sqrt(1.5))
+    stiff, share, scale = (2.0 * mu, 0.0, 1.0) if dim == 1 else (3.0 * mu, 1.0 / 3.0, np.sqrt(1.5))
     last = history.shape[1] - 1
     for r in range(n):
         trace = one[r] + two[r] + three[r]
@@ -67,8 +67,6 @@ def _return(F, points, history, constants, frame, back):  # type: ignore[no-unty
         back.tau[0, r] = lam * trace + 2.0 * mu * one[r]
         back.tau[1, r] = lam * trace + 2.0 * mu * two[r]
         back.tau[2, r] = lam * trace + 2.0 * mu * three[r]
-    for a in range(count, 3):
-        frame.strain[a, :n] = 0.0
 
 
 @compiled
@@ -138,6 +136,5 @@ def _commit(F, select, constants, history):  # type: ignore[no-untyped-def]
             block[r, last] += back.growth[r]
 
 
-def linear_return_loops() -> tuple[Any, Any, Any, Any]:
-    """Return loops for stress, tangent, energy and commit, as ``HistoryKernels`` has them, of any dimension."""
-    return _stress, _tangent, _energy, _commit
+# Stress, tangent, energy and commit, as ``HistoryKernels`` has them, of any dimension.
+LINEAR_RETURN = _stress, _tangent, _energy, _commit

@@ -1,7 +1,6 @@
-"""Principal axes of a deformation gradient, and stress and tangent of an isotropic law from its principal values.
+"""Principal axes and inverse of a deformation gradient, and the tangent of an isotropic law from its principal values.
 
-All of them are functions of the module for one point: numba cannot cache a closure over another one. G is the inverse
-plastic part of F, row by row at the beginning of a history, where there is one.
+All of them are functions of the module for one point: numba cannot cache a closure over another one.
 """
 
 from __future__ import annotations
@@ -47,3 +46,28 @@ def add_pair(dim, a, b, normal, same, swapped, n, M, A):  # type: ignore[no-unty
                 bb = n[k, b]
                 for o in range(dim):
                     A[i, m, k, o] += aa * bb * M[o, b] + ab * (same * n[k, a] * M[o, b] + swapped * bb * M[o, a])
+
+
+@compiled
+def inverse(F, dim, G):  # type: ignore[no-untyped-def]
+    """Write ``F^-1`` to G and return ``det F``."""
+    if dim == 1:
+        J = F[0, 0]
+        G[0, 0] = 1.0 / J
+    elif dim == 2:
+        J = F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
+        G[0, 0] = F[1, 1] / J
+        G[0, 1] = -F[0, 1] / J
+        G[1, 0] = -F[1, 0] / J
+        G[1, 1] = F[0, 0] / J
+    else:
+        for i in range(3):
+            for j in range(3):
+                k, l = (j + 1) % 3, (j + 2) % 3
+                m, n = (i + 1) % 3, (i + 2) % 3
+                G[i, j] = F[k, m] * F[l, n] - F[k, n] * F[l, m]
+        J = F[0, 0] * G[0, 0] + F[0, 1] * G[1, 0] + F[0, 2] * G[2, 0]
+        for i in range(3):
+            for j in range(3):
+                G[i, j] /= J
+    return J

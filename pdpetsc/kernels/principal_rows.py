@@ -90,9 +90,7 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
                 for r in range(n):
                     s[r] = h[r] + g[r]
                 for k in range(dim):
-                    h, g = H[i, k], C[k, j]
-                    for r in range(n):
-                        s[r] += h[r] * g[r]
+                    _add_product(H[i, k], C[k, j], s, n)
         for i in range(dim):
             for j in range(dim):
                 H[i, j, :n] = M[i, j, :n]
@@ -102,9 +100,7 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
             for r in range(n):
                 s[r] = a[r] + b[r]
             for k in range(dim):
-                a, b = H[k, i], H[k, j]
-                for r in range(n):
-                    s[r] += a[r] * b[r]
+                _add_product(H[k, i], H[k, j], s, n)
     _diagonalise(C, N, n)
     for a in range(dim):
         square, length = C[a, a], stretch[a]
@@ -116,9 +112,7 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
             for r in range(n):
                 s[r] = b[r]
             for k in range(dim):
-                h, b = H[i, k], N[k, a]
-                for r in range(n):
-                    s[r] += h[r] * b[r]
+                _add_product(H[i, k], N[k, a], s, n)
             for r in range(n):
                 s[r] /= length[r]
             s, b = M[i, a], N[i, a]
@@ -129,6 +123,12 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
                     b = N[k, a]
                     for r in range(n):
                         s[r] += history[r, i * dim + k] * b[r]
+
+
+@compiled
+def _add_product(x, y, out, n):  # type: ignore[no-untyped-def]
+    for r in range(n):
+        out[r] += x[r] * y[r]
 
 
 def symmetric_axes(S: Float) -> tuple[Float, Float]:

@@ -260,20 +260,8 @@ _HEADER = (
     "import numpy",
     "",
     "from pdpetsc.kernels.compile import compiled",
-    "from pdpetsc.kernels.principal import add_pair, principal_axes",
-    "from pdpetsc.material.neo_hookean import _inverse",
+    "from pdpetsc.kernels.principal import add_pair, inverse, principal_axes",
 )
-
-
-@lru_cache
-def _called() -> str:
-    """Return a line that changes with the sources of the functions that loops call, whose machine code is in theirs."""
-    root = Path(__file__).parent.parent
-    digest = hashlib.blake2b(digest_size=8)
-    for name in ("kernels/compile.py", "kernels/eigen.py", "kernels/principal.py", "material/neo_hookean.py"):
-        with contextlib.suppress(OSError):  # no sources are installed
-            digest.update((root / name).read_bytes())
-    return f"# {digest.hexdigest()}"
 
 
 def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any, slope: Any) -> None:
@@ -305,7 +293,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     """Return the loops of an energy of invariants."""
     scalars = invariant_scalars(energy, kind)
     text = _Text(energy, kind)
-    text.add(_called(), *_HEADER)
+    text.add(*_HEADER)
     names = scalars.names
     free = kind in ("stress", "bar")
     fibres = [name for name in OF_FIBRES if name in names]
@@ -323,10 +311,10 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
         """Write G, C and the invariants of the point."""
         needs_c = cauchy_green or (kind == "solid" and "I2" in names)
         if inverse:
-            text.add(f"j = _inverse(F[p], {text.dim}, G)")
+            text.add(f"j = inverse(F[p], {text.dim}, G)")
         else:
             text.add({1: "j = F[p, 0, 0]", 2: "j = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]",
-                      3: "j = _inverse(F[p], 3, G)" if "J" in names else "j = 1.0"}[text.dim])  # fmt: skip
+                      3: "j = inverse(F[p], 3, G)" if "J" in names else "j = 1.0"}[text.dim])  # fmt: skip
         text.add("i1 = 0.0", "square = 0.0")
         text.each("im", "i1 += F[p, i, m] * F[p, i, m]")
         if needs_c:
@@ -468,7 +456,7 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
         mixed = [derivative(value, _b) for value in first]
         second = [[second[a][b] - mixed[a] * mixed[b] / slope for b in range(dim)] for a in range(dim)]
     text = _Text(energy, kind)
-    text.add(_called(), *_HEADER)
+    text.add(*_HEADER)
     stretches = [str(stretch) for stretch in shown]
     if free:
         _lateral(text, stretches, [], r, slope)

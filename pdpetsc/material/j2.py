@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declared import NonNegative, Positive
-from pdpetsc.kernels.linear_return import linear_out_of_plane, linear_return_loops
+from pdpetsc.kernels.linear_return import LINEAR_RETURN, linear_out_of_plane
 from pdpetsc.material.base import HistoryKernels
 from pdpetsc.material.flow import Yields
 from pdpetsc.material.hardening import Hardening, Linear, law_of
@@ -76,7 +76,7 @@ class J2(Yields, LogarithmicMaterial):
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return compiled loops for linear hardening, else those around ``respond``."""
-        return HistoryKernels(*linear_return_loops()) if self._linear_loops(dim) else super().history_kernels(dim)
+        return HistoryKernels(*LINEAR_RETURN) if self._linear_loops(dim) else super().history_kernels(dim)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return it in closed form in a bar with linear hardening, whose plastic strain keeps its volume."""

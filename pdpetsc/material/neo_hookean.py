@@ -9,6 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.principal import inverse
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 # Largest number of Newton iterations for the lateral stretch, and the last change of its logarithm that they end with.
@@ -83,31 +84,6 @@ def lateral_stretch(lam, mu, hidden, log_det):  # type: ignore[no-untyped-def]
     return np.exp(s) if abs(change) < NEARLY else np.nan
 
 
-@compiled
-def _inverse(F, dim, G):  # type: ignore[no-untyped-def]
-    """Write ``F^-1`` to G and return ``det F``."""
-    if dim == 1:
-        J = F[0, 0]
-        G[0, 0] = 1.0 / J
-    elif dim == 2:
-        J = F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
-        G[0, 0] = F[1, 1] / J
-        G[0, 1] = -F[0, 1] / J
-        G[1, 0] = -F[1, 0] / J
-        G[1, 1] = F[0, 0] / J
-    else:
-        for i in range(3):
-            for j in range(3):
-                k, l = (j + 1) % 3, (j + 2) % 3
-                m, n = (i + 1) % 3, (i + 2) % 3
-                G[i, j] = F[k, m] * F[l, n] - F[k, n] * F[l, m]
-        J = F[0, 0] * G[0, 0] + F[0, 1] * G[1, 0] + F[0, 2] * G[2, 0]
-        for i in range(3):
-            for j in range(3):
-                G[i, j] /= J
-    return J
-
-
 @lru_cache
 def _kernels(dim: int) -> PointKernels:
     @compiled
@@ -115,7 +91,7 @@ def _kernels(dim: int) -> PointKernels:
         lam, mu, hidden = constants[0], constants[1], constants[2]
         G = np.empty((dim, dim))
         for p in select:
-            log_det = np.log(_inverse(F[p], dim, G))
+            log_det = np.log(inverse(F[p], dim, G))
             log_J = log_det + hidden * np.log(lateral_stretch(lam, mu, hidden, log_det))
             for i in range(dim):
                 for j in range(dim):
@@ -126,7 +102,7 @@ def _kernels(dim: int) -> PointKernels:
         lam, mu, hidden = constants[0], constants[1], constants[2]
         G = np.empty((dim, dim))
         for p in select:
-            log_det = np.log(_inverse(F[p], dim, G))
+            log_det = np.log(inverse(F[p], dim, G))
             b = lateral_stretch(lam, mu, hidden, log_det)
             log_J = log_det + hidden * np.log(b)
             condensed = 2.0 * lam * mu * b * b / (2.0 * mu * b * b + hidden * lam)
@@ -144,7 +120,7 @@ def _kernels(dim: int) -> PointKernels:
         lam, mu, hidden = constants[0], constants[1], constants[2]
         G = np.empty((dim, dim))
         for p in select:
-            log_det = np.log(_inverse(F[p], dim, G))
+            log_det = np.log(inverse(F[p], dim, G))
             b = lateral_stretch(lam, mu, hidden, log_det)
             log_J = log_det + hidden * np.log(b)
             square = hidden * (b * b - 1.0) - dim

@@ -46,6 +46,20 @@ class PointLaws:
             law.energy(F, psi, only)
         return psi
 
+    def energy_by_strain(self, F: Float) -> Float:
+        """Return the derivative of ``psi_p`` by the strain without stress at constant F (n_points, 3, 3)."""
+        S = np.zeros((len(F), 3, 3))
+        for law in self.materials:
+            S[law.points] = law.energy_by_strain(F[law.points])
+        return S
+
+    def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
+        """Return the derivative of ``psi_p`` by the temperature (n_points,) of the laws, by differences of ``step``."""
+        by = np.zeros(len(F))
+        for law in self.materials:
+            by[law.points] = law.energy_by_temperature(F[law.points], temperature[law.points], step)
+        return by
+
     def cauchy(self, F: Float) -> Float:
         """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P if linear."""
         return self.cauchy_of(self.stress(F), F)

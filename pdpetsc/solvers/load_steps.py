@@ -272,11 +272,11 @@ def settle(
     """
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
-    near, loose = NEAR if energy else SETTLED, energy
+    near = NEAR if energy else SETTLED
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
         damage.freeze(True)
-        with solver.loosely() if loose else nullcontext():
+        with solver.loosely() if energy and near >= LAST else nullcontext():
             u, result = solver.solve(u, target)
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
@@ -308,6 +308,5 @@ def settle(
             return u, replace(closed, converged=False, reason=reason), broken, sweep
         else:
             solver.load, near = load, 0.1 * tried
-            loose &= near >= LAST
             problem.reset_bonds(taken)
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most

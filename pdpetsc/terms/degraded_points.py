@@ -22,7 +22,7 @@ from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
-from pdpetsc.terms.material_points import MaterialPoints, energy_by_temperature
+from pdpetsc.terms.material_points import MaterialPoints
 
 # Points whose drive is above this share of that of the onset take the final drive of their own direction.
 NEAR_ONSET = 0.5
@@ -507,19 +507,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def energy_by_strain(self, state: State) -> Float:
         """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
         F = self.deformation(state)
-
-        def of(laws: PointLaws, only: Mask | None) -> Float:
-            S = np.zeros((len(F), 3, 3))
-            for law in laws.materials:
-                S[law.points] = law.energy_by_strain(F[law.points])
-            return S
-
-        return self._degraded(state, of)
+        return self._degraded(state, lambda laws, only: laws.energy_by_strain(F))
 
     def energy_by_temperature(self, state: State, temperature: Float, step: float) -> Float:
         """Return it with what has been lost (n_points,)."""
         F, at = self.deformation(state), temperature[self.operator.owner]
-        return self._degraded(state, lambda laws, only: energy_by_temperature(laws, F, at, step))
+        return self._degraded(state, lambda laws, only: laws.energy_by_temperature(F, at, step))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
         """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""

@@ -202,18 +202,15 @@ class MaterialPoints(MaterialTerm):
 
     def energy_by_strain(self, state: State) -> Float:
         """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
-        F = self.deformation(state)
-        S = np.zeros((len(F), 3, 3))
-        for law in self.laws(state).materials:
-            S[law.points] = law.energy_by_strain(F[law.points])
-        return S
+        return self.laws(state).energy_by_strain(self.deformation(state))
 
     def energy_by_temperature(self, state: State, temperature: Float, step: float) -> Float:
         """Return the derivative of the energy density by the temperature of the law at constant F (n_points,).
 
         Differences of ``step``; ``temperature`` is that of the local particles.
         """
-        return energy_by_temperature(self.laws(state), self.deformation(state), temperature[self.operator.owner], step)
+        F = self.deformation(state)
+        return self.laws(state).energy_by_temperature(F, temperature[self.operator.owner], step)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
@@ -352,11 +349,3 @@ class MaterialPoints(MaterialTerm):
 
     def _mean(self, values: Float) -> Float:
         return self.operator.mean_over_points(values, self.body.cloud.n_owned)
-
-
-def energy_by_temperature(laws: PointLaws, F: Float, temperature: Float, step: float) -> Float:
-    """Return the derivative of energy densities by the temperature of points (n_points,), by differences."""
-    by = np.zeros(len(F))
-    for law in laws.materials:
-        by[law.points] = law.energy_by_temperature(F[law.points], temperature[law.points], step)
-    return by

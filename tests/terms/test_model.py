@@ -138,7 +138,7 @@ def test_several_materials_share_a_body(rng):
     model = small_points(one.cloud, one.families, omega, pd.Correspondence(), materials, half, None)
     u = displacement(model, rng)
     K = dense_tangent(model, u)
-    columns = rng.choice(u.size, 3, replace=False)
+    columns = rng.choice(u.size, 8, replace=False)
     assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
     P = model.material_term.stress(model.at(u))
     for number, material in enumerate(materials):

@@ -208,11 +208,9 @@ class PathSolver(SnesSolver):
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
-        if converged:
-            grown = of.grown(self._comm, sought.at_prescribed(values), load)
-            unit = self._options.first if of.share else self._options.measure.step
-            if not abs(grown - t) <= MISSED * unit:
-                converged, sought.reason = False, "the measure did not grow by what it should"
+        unit = self._options.first if of.share else self._options.measure.step
+        if converged and not abs(self._missed(values, load)) <= MISSED * unit:
+            converged, sought.reason = False, "the measure did not grow by what it should"
         self.load = self.t = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), linear + more)
         if converged:
@@ -321,11 +319,13 @@ class PathSolver(SnesSolver):
     def _read(self, x: PETSc.Vec) -> Float:
         return self._take(x)[0]
 
+    def _missed(self, values: Float, load: float) -> float:
+        """Return by how much more the measure has grown than it should (collective)."""
+        return self._constraint.grown(self._comm, self._equilibrium.at_prescribed(values), load) - self._target
+
     def _other_residuals(self, x: PETSc.Vec) -> Float:
         """Return the residual of the constraint, on the last rank."""
-        values, load = self._take(x)
-        grown = self._constraint.grown(self._comm, self._equilibrium.at_prescribed(values), load)
-        residual = self._force / self._scales.force * (grown - self._target)
+        residual = self._force / self._scales.force * self._missed(*self._take(x))
         return np.full(x.getLocalSize() - self._n_u, residual)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:

@@ -78,15 +78,15 @@ def main():
     if not is_root(world()):
         return
     summary = json.loads(Path("out/bench_fracture/summary.json").read_text())
-    done = summary["steps"]
+    done, spent = summary["steps"], summary["timings"]
 
     def mean(name):
-        return sum(step[name] for step in done) / len(done)
+        return sum(step.get(name, 0) for step in done) / len(done)
 
     found = {
-        "seconds_per_step": mean("seconds"), "sweeps": mean("sweeps"), "newton": mean("newton_iterations"),
+        "seconds_per_step": spent["solve"] / len(done), "sweeps": mean("sweeps"), "newton": mean("newton_iterations"),
         "linear": mean("linear_iterations"), "broken": result["broken"], "tip": result["tip"],
-        "memory": summary["memory"],
+        "memory": sum(summary["peak_memory_bytes"]) / 2**20,
     }  # fmt: skip
     print(json.dumps(found, indent=1))
     if target:

@@ -20,6 +20,7 @@ from pdpetsc.gradient.lattice_gradient import (
     add_row_forces,
     weights_of,
 )
+from pdpetsc.kernels.gradient import inverses
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_control_blocks_kernel, rows_energy_kernel
 
 
@@ -50,7 +51,7 @@ class LatticeControl(Control):
         )
         self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, irregular.K_inverse)
         K_inverse = irregular.K_inverse[own.n :]
-        self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
+        self._K = inverses(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
         self._stiffness, points = [], []
         for number, steps in enumerate(lattice.steps):
             bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))

@@ -23,6 +23,7 @@ from pdpetsc.kernels.control import (
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
+from pdpetsc.kernels.gradient import inverses
 from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import same_gradient_kernel
@@ -131,7 +132,7 @@ class NonUniform(Control):
         data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
         if deviation(*data) > SAME:
             return None
-        return BondGradient(self._stiffness, np.linalg.inv(self._K_inverse))
+        return BondGradient(self._stiffness, inverses(self._K_inverse))
 
     def scaled(self, share: Float) -> NonUniform:
         """Return the control with ``s_ij`` times the share of ``i``; H stays the gradient that it is."""

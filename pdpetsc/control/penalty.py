@@ -12,6 +12,7 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import regular_shape_tensors
+from pdpetsc.kernels.gradient import inverses
 
 
 @dataclass(frozen=True)
@@ -49,5 +50,5 @@ class Penalty(ZeroEnergyControl):
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "the penalty")
         factor = self.C3 * cloud.volume[: cloud.n_owned]
-        K_inverse = np.linalg.inv(K * factor[:, None, None]) if self.C3 > 0.0 else np.zeros_like(K)
+        K_inverse = inverses(K * factor[:, None, None]) if self.C3 > 0.0 else np.zeros_like(K)
         return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import correspondence_weights, regular_shape_tensors
+from pdpetsc.kernels.gradient import inverses
 
 
 def gradient_weights(cloud: Cloud, families: Families, omega: Float, name: str) -> tuple[Float, Float]:
@@ -23,5 +22,5 @@ def gradient_weights(cloud: Cloud, families: Families, omega: Float, name: str) 
     Collective.
     """
     weight = omega * cloud.volume[families.neighbours]
-    K_inverse = np.linalg.inv(regular_shape_tensors(cloud, families, weight, name))
+    K_inverse = inverses(regular_shape_tensors(cloud, families, weight, name))
     return correspondence_weights(families, cloud.x, weight, K_inverse), K_inverse

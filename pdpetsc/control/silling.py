@@ -17,6 +17,7 @@ from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import regular_shape_tensors
+from pdpetsc.kernels.gradient import inverses
 
 # Micromodulus of a bond-based solid times horizon^4 over its stiffness, with a thickness of one in the plane.
 MICROMODULUS = {2: 12.0 / math.pi, 3: 18.0 / math.pi}
@@ -184,5 +185,5 @@ def _proportional(cloud: Cloud, families: Families, weight: Float, K: Float, coe
         [force / length^(2 dim + 1), thickness counted as a length]; all zero or all positive.
     """
     factor = coefficient * cloud.volume[: cloud.n_owned]
-    K_inverse = np.linalg.inv(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
+    K_inverse = inverses(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
     return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)

@@ -37,9 +37,8 @@ class DamageableBonds:
         Particles and bonds.
     omega : (n_bonds,) float64
         Influence [-].
-    k : (n_bonds,) float64
-        Elastic stiffness from one end [force / length]; of a body of deformation gradients, whose bonds have none of
-        their own, that of the bond-based material with the same Young's modulus.
+    stiffness : (n_bonds,) float64 or None
+        ``k``, None where no criterion says that it reads it.
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
     length : (n_bonds,) float64
@@ -58,7 +57,7 @@ class DamageableBonds:
     cloud: Cloud
     families: Families
     omega: Float
-    k: Float
+    stiffness: Float | None
     finite: bool
     length: Float
     middle: Float
@@ -68,7 +67,7 @@ class DamageableBonds:
 
     @classmethod
     def of(
-        cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool,
+        cls, cloud: Cloud, families: Families, omega: Float, k: Float | None, finite: bool,
         material_of: LocalIndex | None = None, factor: Float | None = None,
     ) -> DamageableBonds:  # fmt: skip
         """Return the bonds of a body with what follows from the places of their ends (collective).
@@ -93,6 +92,17 @@ class DamageableBonds:
         cloud.halo.forward(number)
         cloud.halo.forward(scale)
         return cls(cloud, families, omega, k, finite, length, middle, keys, number.astype(np.int32), scale)
+
+    @property
+    def k(self) -> Float:
+        """Return the elastic stiffness of every bond from one end (n_bonds,) [force / length].
+
+        Of a body of deformation gradients, whose bonds have none of their own, it is that of the bond-based material
+        with the same Young's modulus.
+        """
+        if self.stiffness is None:
+            raise TypeError("The criterion has reads_stiffness = False, and reads the stiffness of bonds.")
+        return self.stiffness
 
     @cached_property
     def opposite(self) -> OppositeBonds:

@@ -14,7 +14,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
-from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
+from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
@@ -420,7 +420,7 @@ def stencil_weights(stencils: Stencils, x: Float, K_inverse: Float) -> Float:
 
 def operator(cloud: Cloud, stencils: Stencils, note: str = "") -> GradientOperator:
     """Return the operator with ``g_pk = weight_pk K_p^-1 xi_pk`` and ``W_p = V_i / (points of i)``."""
-    g = stencil_weights(stencils, cloud.x, np.linalg.inv(stencils.shape_tensors(cloud.x)))
+    g = stencil_weights(stencils, cloud.x, inverses(stencils.shape_tensors(cloud.x)))
     volume = shared_volume(cloud, stencils.owner)
     return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, volume, note)
 

@@ -20,6 +20,7 @@ from pdpetsc.gradient.base import (
     whole_families,
 )
 from pdpetsc.gradient.moments import GAIN, MET, MOST_ORDER, Conditions, blocks, conditioning_note, largest_gain, solve
+from pdpetsc.kernels.gradient import inverses
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class HigherOrder(Scheme):
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "higher-order weights")
         xi = families.bonds(cloud.x)
-        plain = correspondence_weights(families, cloud.x, weight, np.linalg.inv(K))
+        plain = correspondence_weights(families, cloud.x, weight, inverses(K))
         C = np.ones(len(weight))
         left = np.arange(cloud.n_owned)
         worst, lowered = 1.0, np.zeros(cloud.n_owned)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 
 
@@ -29,6 +30,57 @@ def shape_kernel(dim: int) -> Callable[..., Any]:
                         K[p, m, n] += weight[t] * (x[k, m] - x[i, m]) * (x[k, n] - x[i, n])
 
     return moments
+
+
+def inverses(K: Float) -> Float:
+    """Return the inverses of symmetric positive definite matrices (n, dim, dim), one at a time by their factors.
+
+    NumPy's calls LAPACK once for each of them, which takes ten times as long for such small ones.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A matrix is not positive definite.
+    """
+    found = np.empty_like(K)
+    if not _invert(np.ascontiguousarray(K), found):
+        raise np.linalg.LinAlgError("A matrix is not positive definite.")
+    return found
+
+
+@compiled
+def _invert(K, found):  # type: ignore[no-untyped-def]
+    """Write ``L^-T D^-1 L^-1`` of ``K_p = L D L^T`` to ``found``; return whether all are positive definite."""
+    dim = K.shape[1]
+    L, D = np.empty((dim, dim)), np.empty(dim)
+    for p in range(K.shape[0]):
+        for m in range(dim):
+            D[m] = K[p, m, m]
+            for a in range(m):
+                D[m] -= L[m, a] ** 2 * D[a]
+            if not D[m] > 0.0:
+                return False
+            for n in range(m + 1, dim):
+                value = K[p, n, m]
+                for a in range(m):
+                    value -= L[n, a] * L[m, a] * D[a]
+                L[n, m] = value / D[m]
+        # L becomes its inverse, row by row.
+        for m in range(dim):
+            for n in range(m):
+                value = -L[m, n]
+                for a in range(n + 1, m):
+                    value -= L[m, a] * L[a, n]
+                L[m, n] = value
+            L[m, m] = 1.0
+        for m in range(dim):
+            for n in range(m + 1):
+                value = 0.0
+                for a in range(m, dim):
+                    value += L[a, m] * L[a, n] / D[a]
+                found[p, m, n] = value
+                found[p, n, m] = value
+    return True
 
 
 @lru_cache

@@ -226,6 +226,11 @@ class Damage(DamageModel):
         return self.bonds.law.effect.breaks_by_family_strain
 
     @property
+    def forces_have_energy(self) -> bool:  # type: ignore[override]
+        """Return whether the forces of bonds that soften derive from one energy (not collective)."""
+        return self.bonds.has_energy
+
+    @property
     def reversible(self) -> bool:  # type: ignore[override]
         """Return whether bonds that have not broken may regain force (not collective)."""
         return self.bonds.law.effect.reversible
@@ -375,7 +380,7 @@ def _nowhere(region: Region, what: str) -> Mask:
 
 
 def make_damage(
-    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float, finite: bool,
+    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float | None, finite: bool,
     material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking = _nowhere,
 ) -> Damage:  # fmt: skip
     """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
@@ -387,7 +392,8 @@ def make_damage(
     body : Body
         Whose bonds they are.
     omega, k : (n_bonds,) float64
-        Their influence [-], and their elastic stiffness from one end [force / length].
+        Their influence [-], and their elastic stiffness from one end [force / length], None where no criterion reads
+        it.
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
     material_of : (n_owned,) int32, optional

@@ -459,11 +459,11 @@ def _points(
     if case.damage is None or case.damage.point_laws:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
         return _terms_of_points(case, body, operator, controlled, materials)
-    # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
-    reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
-    moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
+    # Materials that have one modulus per direction have no stiffness of bonds, and finding it takes long.
+    reads = any(law.criterion.reads_stiffness for law in case.damage_laws)
+    k = materials.bond_stiffness(bonds, [one.young_modulus() for one in laws]) if reads else None
     declared = cast(BondDamage | DamageOf, case.damage)
-    damage = _failing(declared, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
+    damage = _failing(declared, body, bonds, k, True, materials)
     material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
     control = control_of(case)
     if control is None:
@@ -501,8 +501,9 @@ def _terms_of_points(
 
 
 def _failing(
-    declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float, finite: bool, materials: OfParticles
-) -> Damage:
+    declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float | None, finite: bool,
+    materials: OfParticles,
+) -> Damage:  # fmt: skip
     """Return the damage of bonds of stiffness ``k`` (n_bonds,); raises CaseError if it is for one material only.
 
     Collective.

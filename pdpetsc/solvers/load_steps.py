@@ -174,13 +174,15 @@ def equilibrium(
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
-        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
+        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible or has_energy else 1)
         if not more:
             return attempt, result, broken, 0
-        if not reversible:
+        if not (reversible or has_energy):
             break
         broken += more
-        attempt, result = solver.solve(attempt, target)
+        attempt, again = solver.solve(attempt, target)
+        counts = result.iterations + again.iterations, result.linear_iterations + again.linear_iterations
+        result = replace(again, iterations=counts[0], linear_iterations=counts[1])
     if stop():
         return attempt, result, broken, 0
     problem.revert_bonds()  # fields that were solved for stay
@@ -251,7 +253,8 @@ def settle(
 
     A sweep leaves equilibrium with the damage before it. Where it changes little, Newton with damage that follows the
     displacement begins from there, and its answer, which is in equilibrium with its own damage, ends the search. Where
-    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots.
+    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots;
+    while they change much they lean to the branch that ``Tilt`` chooses.
     After an answer that does not count sweeps go on until they change ten times less, in the end until damage has
     settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its sign, and a
     step along which the energy rises is turned round.
@@ -273,7 +276,7 @@ def settle(
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
-    broken, iterations, linear = 0, 0, 0
+    broken, iterations, linear, change = 0, 0, 0, 1.0
     for sweep in range(1, most + 1):
         damage.freeze(True)
         with solver.loosely() if energy and near >= LAST else nullcontext():
@@ -282,7 +285,8 @@ def settle(
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
             return u, result, broken, sweep
-        change = problem.soften(solver.state(u))
+        leans = energy and solver.of_minima and change > NEAR
+        change = problem.soften(solver.state(solver.tilt(u) if leans else u))
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:

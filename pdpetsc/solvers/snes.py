@@ -172,11 +172,19 @@ class SnesSolver(StepSolver):
         at least.
         """
         ksp = self._tangent_solver
-        indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
-        solved = self.meets_curvature and self.snes.getIterationNumber() > 0
-        if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
+        if self.meets_curvature and self.snes.getIterationNumber() > 0 and (self._rises or self._unstable):
             return 1
         return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
+
+    @property
+    def _unstable(self) -> bool:
+        """Return whether the linear solver is known to have met negative curvature in its last solve."""
+        ksp = self._tangent_solver
+        if ksp is None:
+            return False
+        if self.meets_curvature:
+            return bool(ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT)
+        return bool(self._equilibrium.negative_pivots(self.snes, ksp))
 
     def _answer(self, b: Float) -> Float:
         """Return the unknowns (n,) that the tangent, which was solved with last, answers forces ``b`` with [length]."""
@@ -209,7 +217,8 @@ class SnesSolver(StepSolver):
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0.
 
-        Where forces have an energy, also damage included, a step along which it rises is turned round.
+        Where forces have an energy, also damage included, a step along which it rises is turned round, and one at an
+        unstable state leans to the branch that ``Tilt`` chooses.
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
@@ -218,6 +227,8 @@ class SnesSolver(StepSolver):
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
             if self._rises:
                 y.scale(-1.0)
+            if self._rises or self._unstable:
+                y.array_w[: self._n_u] = self.tilt(y.array_r[: self._n_u].reshape(-1, self.problem.dim)).ravel()
         if not sought.resting:
             step = y.array_r * self._scales.length
             y.array = sought.held_in_place(step, self._read(x), self._answer, self._rtol) / self._scales.length

@@ -1,0 +1,244 @@
+"""Time conforming weights, a solve, and linear elements: [mpirun -n 2] python runs/bench/mesh.py [name=value ...].
+
+A block of E = 1 and nu = 0.25, n cells a side, whose inner nodes are moved by up to ``shake`` of a cell, held at one
+end and pulled at the other. One particle sits in each cell; correspondence with Silling's control and conforming
+weights. Parameters and their defaults: kind=tetrahedra n=15 horizon=2.015 shake=0.2 repeats=1 json=; kind is
+tetrahedra, hexahedra or triangles, the horizon is in spacings of a lattice with as many particles, json is a file for
+what was measured. Prints, medians of ``repeats``, seconds of
+
+``cloud``     particles and families
+``weights``   what conforming weights take more than standard ones, until the body is ready to be solved
+``model``     the body with its weights
+``solve``     one linear solve to a relative residual of 1e-8: the tangent, its preconditioner, iterations
+``elements``  linear elements on the same mesh, one rank: stiffness matrix, GAMG, iterations to the same residual
+
+and ``weights_over_solve``, ``over_elements`` (cloud, model and solve over elements), ``bytes_a_particle``, the memory
+that the process takes more once the system is solved.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
+
+words = study.start("convergence")
+
+import common  # noqa: E402
+import numpy as np  # noqa: E402
+from petsc4py import PETSc  # noqa: E402
+from scipy.sparse import csr_matrix  # noqa: E402
+
+import pdpetsc as pd  # noqa: E402
+from pdpetsc.declare.solvers import Newton  # noqa: E402
+from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
+from pdpetsc.output.pace import memory_now  # noqa: E402
+from pdpetsc.petsc.defaults import default_options  # noqa: E402
+from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
+from pdpetsc.petsc.options import Options  # noqa: E402
+from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
+
+RTOL, STRAIN, E, NU = 1e-8, 0.01, 1.0, 0.25
+CELLS = {"tetrahedra": (3, common.simplices), "hexahedra": (3, common.cubes), "triangles": (2, common.simplices)}
+
+
+def mesh(kind, n, shake):
+    """Return nodes (k, dim) and cells of the unit block."""
+    dim, cells = pd.choose("kind", kind, CELLS)
+    return common.grid(n, shake, 0, (1.0,) * dim, cells)
+
+
+def block_of(kind, n, horizon, shake, weights):
+    """Return the block with a particle in each cell."""
+    points, block = mesh(kind, n, shake)
+    particles = common.of_cells(points, block)
+    dim, end = points.shape[1], 1.0 / n
+    return pd.Case(
+        particles=particles,
+        horizon=horizon * common.spacing_of(particles),
+        material=pd.LinearElastic(E, NU),
+        scheme=pd.Correspondence(),
+        control=pd.Silling(0.5),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=end), **dict.fromkeys("xyz"[:dim], 0.0)),
+            pd.Displacement(pd.region.Slab("x", low=1.0 - end), x=STRAIN),
+        ],
+    )
+
+
+class Clock:
+    """Seconds of phases, the longest of all ranks."""
+
+    def __init__(self):
+        self.spent = {}
+
+    def __call__(self, name, work, *args):
+        """Return what ``work`` returns, and keep how long it took."""
+        world().Barrier()
+        before = time.perf_counter()
+        answer = work(*args)
+        self.spent[name] = self.spent.get(name, 0.0) + largest(world(), time.perf_counter() - before)
+        return answer
+
+
+def displaced(problem, cloud):
+    """Solve for the displacements; return the iterations, and whether they converged."""
+    supports, chosen = problem.supports, {}
+    choice = choose(problem, chosen, Newton())
+    with Options(chosen).suggest(default_options(problem, Newton(), choice)).active():
+        tangent = make_tangent(
+            assembler(problem, choice), supports.fixed, stiffness_scale(problem.body, problem.material_term)
+        )
+        state = problem.state(np.zeros((cloud.n_rows, cloud.dim)))
+        tangent.update(state)
+        ksp = PETSc.KSP().create(comm=world())
+        ksp.setOperators(tangent.mat, tangent.preconditioner)
+        ksp.setFromOptions()
+        tangent.equip(ksp)
+        ksp.setTolerances(rtol=RTOL)
+        b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
+        b.array = np.where(supports.fixed, 0.0, -problem.linearised(state)(supports.prescribed(1.0))).ravel()
+        ksp.solve(b, x)
+        found = ksp.getIterationNumber(), ksp.getConvergedReason()
+        ksp.destroy()
+        tangent.destroy()
+    return found
+
+
+def elastic(dim):
+    """Return the elastic moduli in Voigt's components, in plane strain in the plane."""
+    lame, mu = E * NU / ((1.0 + NU) * (1.0 - 2.0 * NU)), 0.5 * E / (1.0 + NU)
+    C = np.diag([2.0 * mu] * dim + [mu] * (dim * (dim - 1) // 2))
+    C[:dim, :dim] += lame
+    return C
+
+
+def slopes_of(kind, dim):
+    """Return derivatives of the shape functions at each point of integration (n, corners, dim), and its weight."""
+    if kind != "hexahedron":
+        return np.vstack([-np.ones(dim), np.eye(dim)])[None], 1.0 / (2.0 if dim == 2 else 6.0)
+    below = np.array([(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)])
+    corners = np.concatenate([below, below * [1, 1, -1]])
+    found = np.empty((8, 8, 3))
+    for number, point in enumerate(corners / np.sqrt(3.0)):
+        one = 1.0 + corners * point
+        for m in range(3):
+            found[number, :, m] = 0.125 * corners[:, m] * np.prod(np.delete(one, m, axis=1), axis=1)
+    return found, 1.0
+
+
+def stiffness(points, block):
+    """Return the matrix of linear elements, those of hexahedra with 8 points of integration."""
+    nodes, dim = block.nodes, points.shape[1]
+    corners, C, K = points[nodes], elastic(dim), 0.0
+    slopes, weight = slopes_of(block.kind, dim)
+    pairs = [(0, 1)] if dim == 2 else [(1, 2), (0, 2), (0, 1)]
+    for slope in slopes:
+        J = np.matmul(corners.transpose(0, 2, 1), slope)
+        if dim == 3:
+            adjugate = np.stack([np.cross(J[:, :, (m + 1) % 3], J[:, :, (m + 2) % 3]) for m in range(3)], axis=1)
+        else:
+            adjugate = np.stack([J[:, 1, 1], -J[:, 0, 1], -J[:, 1, 0], J[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+        det = np.einsum("em,em->e", adjugate[:, 0], J[:, :, 0])
+        G = np.matmul(slope, adjugate / det[:, None, None])
+        B = np.zeros((len(nodes), len(C), nodes.shape[1], dim))
+        for m in range(dim):
+            B[:, m, :, m] = G[:, :, m]
+        for row, (m, n) in enumerate(pairs, dim):
+            B[:, row, :, m], B[:, row, :, n] = G[:, :, n], G[:, :, m]
+        B = B.reshape(len(nodes), len(C), -1)
+        K = K + np.matmul(B.transpose(0, 2, 1), np.matmul(weight * np.abs(det)[:, None, None] * C, B))
+    dofs = (nodes[:, :, None] * dim + np.arange(dim)).reshape(len(nodes), -1)
+    width = dofs.shape[1]
+    rows, columns = np.repeat(dofs, width, axis=1).ravel(), np.tile(dofs, (1, width)).ravel()
+    return csr_matrix((K.reshape(-1), (rows, columns)), shape=(points.size, points.size))
+
+
+def elements(points, block):
+    """Solve the block with linear elements and GAMG on this rank alone; return the iterations."""
+    dim = points.shape[1]
+    K = stiffness(points, block)
+    fixed, u = np.zeros(points.shape, dtype=bool), np.zeros(points.shape)
+    fixed[points[:, 0] < 1e-9] = True
+    fixed[points[:, 0] > 1.0 - 1e-9, 0], u[points[:, 0] > 1.0 - 1e-9, 0] = True, STRAIN
+    fixed, free = fixed.ravel(), (~fixed.ravel()).astype(float)
+    b = -(K @ u.ravel()) * free
+    scaled = K.multiply(free[:, None]).multiply(free[None]).tocsr() + csr_matrix(
+        (K.diagonal() * fixed, (np.arange(K.shape[0]),) * 2), shape=K.shape
+    )
+    csr = scaled.indptr.astype(PETSc.IntType), scaled.indices.astype(PETSc.IntType), scaled.data
+    matrix = PETSc.Mat().createAIJ(scaled.shape, bsize=dim, csr=csr, comm=PETSc.COMM_SELF)
+    matrix.setOption(PETSc.Mat.Option.SPD, True)
+    at = PETSc.Vec().createWithArray(points.ravel(), bsize=dim, comm=PETSc.COMM_SELF)
+    modes = PETSc.NullSpace().createRigidBody(at)
+    matrix.setNearNullSpace(modes)
+    ksp = PETSc.KSP().create(comm=PETSc.COMM_SELF)
+    ksp.setType("cg")
+    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+    ksp.setOperators(matrix)
+    ksp.getPC().setType("gamg")
+    ksp.setTolerances(rtol=RTOL)
+    x, rhs = matrix.createVecs()
+    rhs.array = b
+    ksp.solve(rhs, x)
+    found = ksp.getIterationNumber()
+    for thing in (ksp, matrix, modes, at, x, rhs):
+        thing.destroy()
+    return found
+
+
+def measure(values):
+    """Return what one run of all took."""
+    comm, clock = world(), Clock()
+    scene = block_of(**values, weights="conforming")
+    standard = block_of(**values, weights="standard")
+    rehearse(comm, scene, scene.particles.chunk(0, 1).x.shape[1])
+    before = memory_now()
+    cloud = clock("cloud", make_cloud, comm, standard)
+    families = clock("cloud", make_families, standard, cloud)
+    clock("standard", make_problem, standard, cloud, families)
+    clock.spent.pop("cloud")
+    cloud = clock("cloud", make_cloud, comm, scene)
+    families = clock("cloud", make_families, scene, cloud)
+    problem = clock("model", make_problem, scene, cloud, families)
+    iterations, reason = clock("solve", displaced, problem, cloud)
+    spent = clock.spent
+    spent["weights"] = spent["model"] - spent.pop("standard")
+    memory = float(total(comm, float(memory_now() - before)))
+    points, block = mesh(values["kind"], values["n"], values["shake"])
+    of_elements = clock("elements", elements, points, block) if is_root(comm) and comm.size == 1 else 0
+    return {
+        "particles": cloud.n_global, "bonds": int(total(comm, families.n_bonds)), "note": problem.material_term.note,
+        **spent, "iterations": iterations, "converged": reason > 0, "element_iterations": of_elements,
+        "bytes_a_particle": memory / cloud.n_global,
+    }  # fmt: skip
+
+
+def main():
+    """Print what was measured."""
+    given = dict(word.split("=", 1) for word in words)
+    defaults = {"kind": "tetrahedra", "n": 15, "horizon": 2.015, "shake": 0.2}
+    values = {name: type(value)(given.pop(name, value)) for name, value in defaults.items()}
+    repeats, out = int(given.pop("repeats", 1)), given.pop("json", "")
+    if given:
+        raise SystemExit(f"unknown parameters: {', '.join(given)}")
+    runs = [measure(values) for _ in range(repeats)]
+    found = {
+        name: float(np.median([run[name] for run in runs])) if isinstance(value, float) else value
+        for name, value in runs[0].items()
+    }
+    found["weights_over_solve"] = found["weights"] / found["solve"]
+    if "elements" in found:
+        found["over_elements"] = (found["cloud"] + found["model"] + found["solve"]) / found["elements"]
+    if is_root(world()):
+        print(json.dumps(found, indent=1))
+        if out:
+            Path(out).write_text(json.dumps({**values, **found}))
+
+
+if __name__ == "__main__":
+    main()

@@ -27,6 +27,9 @@ from pdpetsc.renamed import accept_old_methods
 T = TypeVar("T")
 
 
+EVERY = slice(None)
+
+
 @dataclass(frozen=True)
 class DamageableBonds:
     """The bonds of the own particles as a criterion reads them, each from one end.
@@ -43,11 +46,6 @@ class DamageableBonds:
         Whether elongations are those of the current length, or along the first direction of a bond.
     length : (n_bonds,) float64
         Reference length [length].
-    middle : (n_bonds, dim) float64
-        Middle of each bond with its first end at home [length].
-    keys : (n_bonds, 3) int64
-        Global ids of both ends, the lower first, and the place of the second seen from the first: the same from both
-        ends. A bond to the own mirror image has one end only, in the part of the body that is computed.
     material_of : (n_local,) int32
         Number of the material of each particle.
     factor : (n_local,) float64
@@ -60,8 +58,6 @@ class DamageableBonds:
     stiffness: Float | None
     finite: bool
     length: Float
-    middle: Float
-    keys: GlobalIndex
     material_of: LocalIndex
     factor: Float
 
@@ -75,14 +71,6 @@ class DamageableBonds:
         ``material_of`` and ``factor`` are those of the own particles (n_owned,); one material that is not graded where
         absent.
         """
-        centres, neighbours = families.centres, families.neighbours
-        place = cloud.place[neighbours]
-        back = cloud.places.opposite(place)
-        i, j = cloud.gid[centres], cloud.gid[neighbours]
-        low = (i < j) | ((i == j) & (back <= place))
-        one, other = np.where(low, centres, neighbours), np.where(low, neighbours, centres)
-        keys = np.stack([cloud.gid[one], cloud.gid[other], np.where(low, place, back)], axis=1)
-        middle = cloud.places.at_home(cloud.place[one], 0.5 * (cloud.x[one] + cloud.x[other]))
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
         if material_of is not None:
@@ -91,7 +79,7 @@ class DamageableBonds:
             scale[: cloud.n_owned] = factor
         cloud.halo.forward(number)
         cloud.halo.forward(scale)
-        return cls(cloud, families, omega, k, finite, length, middle, keys, number.astype(np.int32), scale)
+        return cls(cloud, families, omega, k, finite, length, number.astype(np.int32), scale)
 
     @property
     def k(self) -> Float:
@@ -107,7 +95,30 @@ class DamageableBonds:
     @cached_property
     def opposite(self) -> OppositeBonds:
         """Return who has the other direction of every bond (collective the first time)."""
-        return OppositeBonds(self.cloud, self.families, self.keys)
+        return OppositeBonds(self.cloud, self.families, self.keys())
+
+    def keys(self, bonds: GlobalIndex | Mask | slice = EVERY) -> GlobalIndex:
+        """Return what tells some bonds (n, 3) from all others, the same from both ends and on any ranks.
+
+        The global ids of both ends, the lower first, and the place of the second seen from the first. A bond to the own
+        mirror image has one end only, in the part of the body that is computed.
+        """
+        gid, (one, other, place) = self.cloud.gid, self._ends(bonds)
+        return np.stack([gid[one], gid[other], place], axis=1)
+
+    def middle(self, bonds: GlobalIndex | Mask | slice = EVERY) -> Float:
+        """Return the middle of some bonds, with the first end at home (n, dim) [length]."""
+        x, (one, other, _) = self.cloud.x, self._ends(bonds)
+        return self.cloud.places.at_home(self.cloud.place[one], 0.5 * (x[one] + x[other]))
+
+    def _ends(self, bonds: GlobalIndex | Mask | slice) -> tuple[LocalIndex, LocalIndex, GlobalIndex]:
+        """Return both ends of some bonds, the one with the lower key first, and the place of the second from there."""
+        centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]
+        gid, place = self.cloud.gid, self.cloud.place[neighbours]
+        back = self.cloud.places.opposite(place)
+        i, j = gid[centres], gid[neighbours]
+        low = (i < j) | ((i == j) & (back <= place))
+        return np.where(low, centres, neighbours), np.where(low, neighbours, centres), np.where(low, place, back)
 
 
 class Displaced(Protocol):

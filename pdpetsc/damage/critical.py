@@ -28,7 +28,7 @@ class CriticalStretch(Criterion):
         CaseError
             A critical stretch is not positive.
         """
-        stretch = self(bonds.length, bonds.middle)
+        stretch = self(bonds.length, bonds.middle())
         bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
         if len(bad):
             length, value = bonds.length[bad[0]], stretch[bad[0]]
@@ -61,6 +61,10 @@ class ConstantCritical(CriticalStretch):
     value: Positive
 
     reads_stiffness: ClassVar[bool] = False
+
+    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
+        """Return ``e / (s_c |xi|)``, for which places are not needed."""
+        return LinearDrivingVariable(bonds, np.asarray(self.value * bonds.length))
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return the value for every bond."""

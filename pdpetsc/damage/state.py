@@ -20,7 +20,7 @@ TOGETHER = 1e-7
 class FailingBonds:
     """Degradation factor of the bonds of the own particles, and how far what drives their damage has been.
 
-    A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one. Where horizons
+    A bond is held from both of its ends, on two ranks perhaps; its ``key`` tells that the two are one. Where horizons
     differ it may be held from the end alone that reaches the other. What is called ``x``
     in the methods is the drive of every bond (n_bonds,) [-], zero where it is protected.
 
@@ -49,8 +49,10 @@ class FailingBonds:
     slack : float
         Bonds whose degradation factor at their present drive is above the kept one by less than this follow their drive
         too [-]: 0 but where a tangent for further loading is wanted.
-    length, middle, keys
-        As of ``DamageableBonds``.
+    of : DamageableBonds
+        The bonds.
+    length : (n_bonds,) float64
+        Their length [length].
     """
 
     def __init__(self, bonds: DamageableBonds, laws: AssignedLaws, law: BondDamage | DamageOf) -> None:
@@ -58,14 +60,15 @@ class FailingBonds:
         self.laws = laws
         self._onset, self._final = laws.onset(), laws.final()
         self._comm = bonds.cloud.comm
-        self.length, self.middle, self.keys = bonds.length, bonds.middle, bonds.keys
+        self.of, self.length = bonds, bonds.length
         self.protected: GlobalIndex = np.flatnonzero(laws.of_bond < 0)
         # Bonds to the own mirror image, which has the other end, and those of ends that do not reach back: what is
         # counted from both ends counts them twice.
-        own = self.keys[:, 0] == self.keys[:, 1]
+        keys = bonds.keys()
+        own = keys[:, 0] == keys[:, 1]
         alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
-        self._first: Mask = alone | (bonds.cloud.gid[bonds.families.centres] == self.keys[:, 0])
-        self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2]))
+        self._first: Mask = alone | (bonds.cloud.gid[bonds.families.centres] == keys[:, 0])
+        self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(keys[:, 2]) == keys[:, 2]))
         self.phi: Float = np.ones(len(self.length))
         self.kappa: Float = np.zeros(len(self.length))
         self.frozen = False
@@ -183,7 +186,7 @@ class FailingBonds:
         most = 1 if most is None and self.laws.snaps else most
         over = np.where(self.intact, x, 0.0)
         own = np.flatnonzero(over >= (1.0 - TOGETHER) * self._final)
-        keys = np.concatenate(self._comm.allgather(self.keys[own]))
+        keys = np.concatenate(self._comm.allgather(self.of.keys(own)))
         values = np.concatenate(self._comm.allgather(over[own]))
         if len(keys) == 0:
             return 0
@@ -215,7 +218,7 @@ class FailingBonds:
     def damaged(self) -> tuple[GlobalIndex, Float]:
         """Return keys (n, 3) and states (n, 2), ``phi`` and worst, of damaged bonds, each from its first end only."""
         mine = np.flatnonzero((self.phi < 1.0) & self._first)
-        return self.keys[mine], np.stack([self.phi[mine], self.kappa[mine]], axis=1)
+        return self.of.keys(mine), np.stack([self.phi[mine], self.kappa[mine]], axis=1)
 
     def restore(self, keys: GlobalIndex, states: Float) -> int:
         """Set the states of those of the given bonds that are held here; return how many from their first end.
@@ -237,9 +240,9 @@ class FailingBonds:
 
         Bonds with the same key have the same number (not collective).
         """
-        near = np.isin(self.keys[:, 0], keys[:, 0]) & np.isin(self.keys[:, 1], keys[:, 1])
-        bonds = np.flatnonzero(near)
-        _, number = np.unique(np.concatenate([keys, self.keys[bonds]]), axis=0, return_inverse=True)
+        families, end = self.of.families, np.isin(self.of.cloud.gid, keys[:, :2])
+        bonds = np.flatnonzero(end[families.centres] & end[families.neighbours])
+        _, number = np.unique(np.concatenate([keys, self.of.keys(bonds)]), axis=0, return_inverse=True)
         number = number.reshape(-1)
         return number[: len(keys)], bonds, number[len(keys) :]
 

@@ -39,7 +39,7 @@ class BrokenBonds(Observer):
         """Write the rows before a restart."""
         super().begin(observed)
         comm, origin = observed.comm, observed.origin
-        header = ["step", "t", "i", "j", "length", *"xyz"[: self._bonds.middle.shape[1]]]
+        header = ["step", "t", "i", "j", "length", *"xyz"[: self._bonds.of.cloud.dim]]
         rows: list[list[float]] = []
         if origin is not None and is_root(comm):
             earlier = rows_of(origin.tables.get("broken_bonds", ""), header) or []
@@ -67,7 +67,7 @@ class BrokenBonds(Observer):
         if int(total(comm, len(new))) == 0:
             return
         self._listed[new] = True
-        rows = np.column_stack([bonds.keys[new], bonds.length[new], bonds.middle[new]])
+        rows = np.column_stack([bonds.of.keys(new), bonds.length[new], bonds.of.middle(new)])
         parts: list[Float] | None = comm.gather(rows)
         written: list[list[str]] = []
         if parts is not None:

@@ -1,4 +1,4 @@
-"""A small change of displacements that no symmetry of a body leaves alone: it chooses between equal branches by place."""
+"""A small change of displacements that no symmetry of a body leaves alone, which chooses between equal branches."""
 
 from __future__ import annotations
 

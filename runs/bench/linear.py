@@ -54,7 +54,7 @@ class Clock:
 def failed_bonds(problem, share):
     """Break a share of the bonds, the same from both ends and on any ranks."""
     bonds = problem.damage.bonds
-    keys = bonds.keys
+    keys = bonds.of.keys()
     number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
     bonds.phi[number % 1000 < 1000 * share] = 0.0
     problem.bonds_restored()

@@ -38,7 +38,7 @@ class Debonded(pd.Quantity):
         lost = ~damage.bonds.intact
         across = lost & (inside[i] != inside[j])
         if self.what == "angle":
-            middle = damage.bonds.middle[across]
+            middle = damage.bonds.of.middle(across)
             angle = np.degrees(np.arctan2(np.abs(middle[:, 1]), np.abs(middle[:, 0])))
             return solution.largest(float(angle.max(initial=0.0)))
         return float(solution.sum(np.count_nonzero(across if self.what == "interface" else lost))) / 2.0

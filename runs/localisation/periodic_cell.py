@@ -83,11 +83,10 @@ def section_counts(problem, n):
     """Return how many broken bonds and how many bonds of this rank cross each of the n sections, each bond once."""
     failure, cloud, families = problem.damage.bonds, problem.body.cloud, problem.body.families
     # Of the two directions of a bond, the one from the end that is named first and at home.
-    once = (cloud.gid[families.centres] == failure.keys[:, 0]) & (
-        (cloud.gid[families.neighbours] != failure.keys[:, 0]) | (failure.keys[:, 2] > 0)
-    )
+    first, _, place = failure.of.keys().T
+    once = (cloud.gid[families.centres] == first) & ((cloud.gid[families.neighbours] != first) | (place > 0))
     span = np.rint(failure.length[once] * n / LENGTH).astype(int)
-    start = np.rint((failure.middle[once, 0] - 0.5 * failure.length[once]) * n / LENGTH - 0.5).astype(int)
+    start = np.rint((failure.of.middle(once)[:, 0] - 0.5 * failure.length[once]) * n / LENGTH - 0.5).astype(int)
     counts = np.zeros((2, n))
     for row, chosen in zip(counts, (failure.phi[once] == 0.0, np.ones(len(span), dtype=bool)), strict=True):
         steps = np.zeros(3 * n + 1)

@@ -276,11 +276,11 @@ def test_micromoduli_are_those_of_each_horizon(calibration):
 def test_broken_bonds_of_directed_families_count_once(rng):
     model = graded_body(2, rng, SCHEMES["correspondence"], None, pd.Brittle(pd.ConstantCritical(0.01)))
     failure = model.failure
-    both = {tuple(key) for key in failure.keys.tolist()}
-    assert len(both) > len(failure.keys) // 2  # some bonds have one end
+    both = {tuple(key) for key in failure.of.keys().tolist()}
+    assert len(both) > len(failure.length) // 2  # some bonds have one end
     u = 0.02 * model.cloud.x * rng.uniform(0.5, 1.5, (len(model.cloud.x), 1))
     drive = model.driving_values(u)
-    expected = {tuple(key) for key in failure.keys[drive >= 1.0].tolist()}
+    expected = {tuple(key) for key in failure.of.keys(drive >= 1.0).tolist()}
     assert 10 < len(expected) < len(both)
     found = failure.break_bonds(drive, 10**6)
     assert found == len(expected) == failure.count_broken()
@@ -643,7 +643,7 @@ def test_breaking_all_bonds_across_a_plane_takes_the_fracture_energy_at_any_hori
     k = case.material.stiffness(bonds).k
     damage = make_damage(case.damage, body, omega, k, False)
     limit = damage.driving_variable.limit
-    key = np.lexsort(damage.bonds.keys.T)
+    key = np.lexsort(damage.bonds.of.keys().T)
     np.testing.assert_allclose(limit[key[::2]], limit[key[1::2]], rtol=1e-14)
     share = damage.bonds.law.toughness(2.0)
     a, b = cloud.x[body.families.centres], cloud.x[body.families.neighbours]

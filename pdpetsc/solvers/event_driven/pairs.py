@@ -76,7 +76,8 @@ def make_pairs(term: BondForces) -> Pairs:
     if term.a is not None:
         raise CaseError("The event-driven solver takes bonds without dilatation: BondBased, or Newton for LinearSolid.")
     failure, limit = term.damage.bonds, term.damage.limit
-    keys, first, of_bond = np.unique(failure.keys, axis=0, return_index=True, return_inverse=True)
+    of_bonds = failure.of.keys()
+    keys, first, of_bond = np.unique(of_bonds, axis=0, return_index=True, return_inverse=True)
     of_bond = of_bond.reshape(-1)
     k = np.bincount(of_bond, term.k, len(keys))
     # The other direction of a bond that leaves the rank is held by the owner of the ghost.
@@ -85,14 +86,14 @@ def make_pairs(term: BondForces) -> Pairs:
     owner = np.searchsorted(firsts, cloud.row[families.neighbours[outward]], side="right") - 1
     leaving = outward[owner != cloud.comm.rank]
     (their_keys, their_k), _ = exchange(
-        cloud.comm, owner[owner != cloud.comm.rank], [failure.keys[leaving], term.k[leaving]]
+        cloud.comm, owner[owner != cloud.comm.rank], [of_bonds[leaving], term.k[leaving]]
     )
     if len(their_keys):
         together, index = np.unique(np.concatenate([keys, their_keys]), axis=0, return_inverse=True)
         index = index.reshape(-1)
         sums = np.bincount(index, np.concatenate([k, their_k]), len(together))
         k = sums[index[: len(keys)]]
-    centre_first = cloud.gid[families.centres] == failure.keys[:, 0]
+    centre_first = cloud.gid[families.centres] == of_bonds[:, 0]
     reported = np.zeros(len(keys), dtype=bool)
     reported[of_bond[centre_first]] = True
     ends = np.stack([families.centres[first], families.neighbours[first]], axis=1)

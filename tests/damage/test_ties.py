@@ -173,6 +173,19 @@ def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     assert any(noted in line for line in said)
 
 
+@pytest.mark.parametrize("option", ["", "-pd_jacobian matfree"])
+def test_ranks_choose_the_same_branch(option, tmp_path):
+    """Two ligaments of a symmetric plate are equal, and a large step takes it past states in which it is unstable."""
+    case = tmp_path / "plate.py"
+    case.write_text("from tests.damage.test_ties import plate\n\n\ndef case():\n    return plate()[0]\n")
+    for ranks in (1, 2):
+        results(case, *option.split(), ranks=ranks, output=tmp_path / str(ranks))
+    one, two = ((tmp_path / name / "broken_bonds.csv").read_text() for name in "12")
+    assert one == two
+    one, two = (np.genfromtxt(tmp_path / name / "history.csv", delimiter=",", names=True)["force"] for name in "12")
+    assert np.allclose(one, two, rtol=0.0, atol=1e-8 * np.abs(one).max())
+
+
 def test_ranks_note_the_same_jumps(tmp_path):
     case = tmp_path / "plate.py"
     made = "plate(pull=0.06, material=SWEPT)[0]"

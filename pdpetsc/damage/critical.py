@@ -62,10 +62,6 @@ class ConstantCritical(CriticalStretch):
 
     reads_stiffness: ClassVar[bool] = False
 
-    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
-        """Return ``e / (s_c |xi|)``, for which places are not needed."""
-        return LinearDrivingVariable(bonds, np.asarray(self.value * bonds.length))
-
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return the value for every bond."""
         return np.full(len(length), self.value)

@@ -20,7 +20,7 @@ TOGETHER = 1e-7
 class FailingBonds:
     """Degradation factor of the bonds of the own particles, and how far what drives their damage has been.
 
-    A bond is held from both of its ends, on two ranks perhaps; its ``key`` tells that the two are one. Where horizons
+    A bond is held from both of its ends, on two ranks perhaps; ``of.keys`` tells that the two are one. Where horizons
     differ it may be held from the end alone that reaches the other. What is called ``x``
     in the methods is the drive of every bond (n_bonds,) [-], zero where it is protected.
 
@@ -38,7 +38,8 @@ class FailingBonds:
     phi : (n_bonds,) float64
         What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
     kappa : (n_bonds,) float64
-        Largest drive so far [-], or that of the last equilibrium where bonds heal.
+        Largest drive so far [-], in a load step that of its last equilibrium and of the steps before; that of the last
+        equilibrium where bonds heal.
     protected : (n,) int64
         Bonds that do not fail.
     frozen : bool
@@ -141,15 +142,15 @@ class FailingBonds:
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def soften(self, x: Float) -> float:
-        """Take the degradation factor at drives x for good; return the largest change of any bond (collective)."""
-        T = self.following(x)[0]
+        """Take the damage at drives x, if forces have no energy for good; return the largest change (collective)."""
+        T, before = self.following(x)[0], self._before[1]
         if self.frozen and not self.has_energy:
             # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
             T = np.minimum(T, self.phi)
         change = float(np.abs(self.phi - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.kappa[:] = self.law.effect.reached(x, self._before[1])
+        self.kappa[:] = self.law.effect.reached(x, before)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:

@@ -140,7 +140,7 @@ class DamageModel(ABC):
 
     @abstractmethod
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Take the damage at a state, if forces have no energy for good; return the largest change of a factor [-]."""
 
     def dissipation_gradient(self, state: State) -> Float | None:
         """Return the derivative of the dissipated energy by the unknowns (n_rows, dim) [force]; None if not known."""
@@ -309,7 +309,7 @@ class Damage(DamageModel):
         return self.bonds.fading(self.driving_values(state))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Take the damage at a state, if forces have no energy for good; return the largest change of a factor [-]."""
         return self.bonds.soften(self.driving_values(state))
 
     def stored(self) -> tuple[Float, ...]:

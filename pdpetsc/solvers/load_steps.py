@@ -70,10 +70,10 @@ def load_steps(
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate (sweeps) until neither changes: damage only grows, so this ends. Bonds of a law that lets
-    them heal also break where Newton converges without a jump; in sweeps they do not heal, and a last solve by Newton
-    lets them. A step that fails is halved and starts again from the last converged state; after an easy one the step
-    grows by half, up to the largest.
+    that equilibrium alternate (sweeps) until neither changes: damage only grows, or an energy falls, so this ends.
+    Bonds of a law that lets them heal also break where Newton converges without a jump; in sweeps they do not heal, and
+    a last solve by Newton lets them. A step that fails is halved and starts again from the last converged state; after
+    an easy one the step grows by half, up to the largest.
 
     Raises
     ------
@@ -287,7 +287,8 @@ def settle(
             return u, result, broken, sweep
         leans = energy and solver.of_minima and change > NEAR
         change = problem.soften(solver.state(solver.tilt(u) if leans else u))
-        more = 0 if reversible and change >= SETTLED else fail(u)
+        settled = change <= (LAST if energy else SETTLED if reversible else 1.0)
+        more = fail(u) if settled else 0
         broken += more
         if change <= LAST and near < LAST and not more:
             return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), broken, sweep

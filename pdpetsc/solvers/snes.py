@@ -53,8 +53,8 @@ class SnesSolver(StepSolver):
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self.snes = PETSc.SNES().create(comm=self._comm)
-        # Whether the energy rises along the last step that the linear solver gave.
-        self._rises = False
+        # Whether the energy rises along the last step that the linear solver gave, and whether it gave none.
+        self._rises = self._lost = False
 
     def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
         """Give SNES its functions, and SNES and linear solvers their options."""
@@ -222,6 +222,11 @@ class SnesSolver(StepSolver):
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
+        if not np.isfinite(y.norm()):
+            # Where solves that meet negative curvature may go on, one that failed otherwise has no step to give.
+            self._lost = True
+            y.set(0.0)
+            return
         if damage is not None and damage.forces_have_energy and self.problem.symmetric and self.of_minima:
             # The step is -y, and the residual the derivative of the energy.
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
@@ -248,6 +253,9 @@ class SnesSolver(StepSolver):
         sought, x = self._equilibrium, snes.getSolution()
         if self.stop():
             return sought.interrupted()
+        if self._lost:
+            self._lost = False
+            return int(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
         values, others = self._read(x), self._others_converged(x)
         verdict = sought.verdict(values, iteration, self._norm(norms[2]), self._rtol)
         if verdict is None or verdict < 0:

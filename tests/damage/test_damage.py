@@ -321,7 +321,7 @@ MATERIAL = pd.Hencky(E=10.0, nu=0.3)
 
 def with_broken(model, rng, share=0.12):
     """Break a share of the bonds, both ends of each."""
-    keys = model.failure.keys
+    keys = model.failure.of.keys()
     picked = rng.permutation(np.unique(keys, axis=0))[: int(share * len(keys) / 2)]
     lost = (keys[:, None] == picked[None]).all(axis=2).any(axis=1)
     model.failure.phi[lost] = 0.0

@@ -67,7 +67,7 @@ def test_nearest_neighbours_are_those_of_bonds_that_hold(rng):
     law = pd.Brittle(pd.ConstantCritical(1.0))
     for dim in (2, 3):
         model = damaged_body(dim, law, control=pd.Silling(0.5))
-        keys = model.failure.keys
+        keys = model.failure.of.keys()
         model.failure.phi[(keys[:, 0] * 7 + keys[:, 1] * 13) % 10 < 3] = 0.0
         model.take_failure()
         values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model.problem)))

@@ -564,3 +564,13 @@ def test_the_tangent_knows_that_faster_flow_fails_later(rng):
     assert np.all(fast <= slow)
     assert np.median(fast) < 0.97 * np.median(slow)
     check_tangent(model, uneven(model, rng), rng, least=2)
+
+
+def test_a_stiffness_that_was_not_asked_for_is_not_there():
+    """Zeros in its place would give critical stretches that nobody questions."""
+    cloud = distribute(world(), np.arange(4.0)[:, None], np.ones(4), {}, 1.1)
+    families = find_families(cloud)
+    bonds = DamageableBonds.of(cloud, families, np.ones(families.n_bonds), None, False)
+    assert pd.ConstantCritical(0.1).build(bonds).limit == pytest.approx(0.1)
+    with pytest.raises(TypeError, match="reads_stiffness = False"):
+        pd.BondEnergy(w=1.0).resolve(bonds, lambda degree: 1.0)

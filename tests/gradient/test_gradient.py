@@ -7,6 +7,7 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
+from pdpetsc.kernels.gradient import inverses
 from tests import reference
 from tests.scenes import DIMS, SCHEMES, body, displacement, lattice
 
@@ -239,3 +240,17 @@ def test_the_smoothed_gradient_does_not_see_what_averages_do_not_show_and_needs_
         body(1, pd.SmoothedDisplacement(), horizon=1.015)
     with pytest.raises(pd.CaseError, match="between 0 and 1"):
         pd.SmoothedDisplacement(1.0)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6])
+def test_inverses_are_those_of_numpy(n, rng):
+    """Also of a family as flat as one is accepted, whose shape tensor has eigenvalues a million times apart."""
+    A = rng.standard_normal((50, n, n + 2))
+    K = A @ A.transpose(0, 2, 1)
+    K[0] = np.diag(np.logspace(0.0, -6.0, n))
+    found = inverses(K)
+    assert np.allclose(found @ K, np.eye(n), atol=1e-9)
+    assert np.array_equal(found, found.transpose(0, 2, 1))
+    K[3] = 0.0
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        inverses(K)

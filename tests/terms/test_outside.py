@@ -268,3 +268,62 @@ def test_two_ranks_find_the_same(name, tmp_path):
         script_on(ranks, PRESSED, name, tmp_path / f"run{ranks}", tmp_path / f"u{ranks}.npy")
     one, two = (np.load(tmp_path / f"u{ranks}.npy") for ranks in (1, 2))
     assert np.abs(one - two).max() < 1e-8 * np.abs(one).max()
+
+
+class Slider(pd.ExtraTerm):
+    """Springs to the ground that slide at a force of 0.05: they dissipate that force times the way they slid."""
+
+    k, most = 20.0, 0.05
+
+    def build(self, body):
+        return SliderTerm(body)
+
+
+class SliderTerm(pd.Term):
+    linear = False
+    has_history = True
+    energy_of = "slider"
+
+    def __init__(self, body):
+        self.n, self.dim = body.cloud.n_owned, body.dim
+        self.slid = np.zeros((self.n, body.dim))
+
+    def force(self, u):
+        return np.clip(Slider.k * (u - self.slid), -Slider.most, Slider.most)
+
+    def add_row_force(self, state, r):
+        r[: self.n] += self.force(state.own)
+
+    def linearise(self, state):
+        k = np.where(np.abs(self.force(state.own)) < Slider.most, Slider.k, 1e-9)
+        return [pd.PointBlocks(k[:, :, None] * np.eye(self.dim))]
+
+    def energy(self, state):
+        return float((self.force(state.own) ** 2).sum() / (2.0 * Slider.k))
+
+    def commit(self, state):
+        self.slid[:] = state.own - self.force(state.own) / Slider.k
+        self.version += 1
+
+    def arrays(self):
+        return {"slid": pd.KeptArray(np.arange(self.n, dtype=np.int32), self.slid)}
+
+
+def test_what_a_term_of_ones_own_dissipates_counts_beside_bonds_that_may_fail(tmp_path):
+    low, high = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=11.0)
+    case = pd.Case(
+        particles=pd.Arrays(np.arange(12.0)[:, None] + 0.5, 1.0, thickness=1.0),
+        horizon=1.1,
+        material=pd.BondBased(E=100.0),
+        damage=pd.LinearSoftening(pd.ConstantCritical(0.05), 4.0),
+        conditions=[pd.Displacement(low, x=0.0), pd.Displacement(high, x=0.4)],
+        terms=[Slider()],
+        steps=pd.Steps(80),
+        history={"dissipated": pd.DissipatedEnergy()},
+        fields=[],
+    )
+    result = pd.run(case, output=tmp_path)
+    # All springs slide away from where they began, and never back.
+    slid = np.maximum(np.abs(result.solution.u) - Slider.most / Slider.k, 0.0)
+    assert result.history["dissipated"][-1] == pytest.approx(Slider.most * np.abs(slid).sum(), rel=0.02)
+    assert np.abs(slid).sum() > 1.0

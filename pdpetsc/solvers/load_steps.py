@@ -287,8 +287,8 @@ def settle(
             return u, result, broken, sweep
         leans = energy and solver.of_minima and change > NEAR
         change = problem.soften(solver.state(solver.tilt(u) if leans else u))
-        settled = change <= (LAST if energy else SETTLED if reversible else 1.0)
-        more = fail(u) if settled else 0
+        # A piece that bonds with next to no force hold is not solvable: they break here, though the search goes on.
+        more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:
             return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), broken, sweep

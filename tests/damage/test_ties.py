@@ -3,7 +3,7 @@
 import csv
 import json
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -202,26 +202,3 @@ def test_damage_that_settles_on_a_stable_branch_is_not_noted(tmp_path, caplog):
     run(case, tmp_path)
     assert 0.0 < growth(tmp_path)[0] < 1.0
     assert not any("round-off" in record.message for record in caplog.records)
-
-
-@pytest.mark.parametrize("n, shake, law", [(10, 0.0, SOFTENING), (8, 0.2, pd.LinearSoftening(CRITICAL, 1.5))])
-def test_what_breaks_in_a_large_step_is_past_its_last_drive_where_the_step_ends(n, shake, law, tmp_path):
-    """What bonds lose on the way to a minimum they regain: none breaks at a state that is no equilibrium."""
-    broken, short = set(), []
-
-    @dataclass(frozen=True)
-    class Least(pd.Quantity):
-        dimension = "1"
-
-        def evaluate(self, solution):
-            damage = solution.problem.damage
-            x = damage.driving_values(solution.state)
-            new = np.setdiff1d(np.flatnonzero(damage.bonds.phi == 0.0), list(broken))
-            broken.update(new.tolist())
-            short.extend((x[new] / law.final).tolist())
-            return 0.0
-
-    case = plate(n=n, shake=shake, law=law)[0]
-    pd.run(replace(case, history={**case.history, "least": Least()}), output=tmp_path)
-    assert len(short) > 20
-    assert min(short) > 0.999

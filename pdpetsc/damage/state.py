@@ -38,15 +38,11 @@ class FailingBonds:
     phi : (n_bonds,) float64
         What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
     kappa : (n_bonds,) float64
-        Largest drive so far [-], in a load step that of its last equilibrium and of the steps before; that of the last
-        equilibrium where bonds heal.
+        Largest drive so far [-], or that of the last equilibrium where bonds heal.
     protected : (n,) int64
         Bonds that do not fail.
     frozen : bool
         Whether the degradation factor stays while the displacement changes.
-    has_energy : bool
-        Whether all forces derive from one energy. What a bond loses in a load step follows from the displacement at its
-        end then, not from those on the way there, and is taken for good when the step has converged.
     slack : float
         Bonds whose degradation factor at their present drive is above the kept one by less than this follow their drive
         too [-]: 0 but where a tangent for further loading is wanted.
@@ -73,7 +69,6 @@ class FailingBonds:
         self.phi: Float = np.ones(len(self.length))
         self.kappa: Float = np.zeros(len(self.length))
         self.frozen = False
-        self.has_energy = False
         self.slack = 0.0
         self.commit()
 
@@ -86,14 +81,6 @@ class FailingBonds:
     def softens(self) -> bool:
         """Return True if the degradation factor follows the displacement now."""
         return self.laws.softens and not self.frozen
-
-    @property
-    def _before(self) -> tuple[Float, Float]:
-        """Return the ``phi`` (n_bonds,) and largest drives that bonds have for good."""
-        if not self.has_energy:
-            return self.phi, self.kappa
-        phi, kappa = self._kept
-        return np.where(self.intact, phi, 0.0), kappa
 
     def commit(self) -> None:
         """Keep the present state (not collective)."""
@@ -120,10 +107,9 @@ class FailingBonds:
         # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
         past_onset = np.flatnonzero((x > self._onset) & self.intact)
         present[past_onset] = np.maximum(laws.phi(np.minimum(x, final)[past_onset], past_onset), 0.0)
-        least = self._before[0]
-        follows = self.law.effect.follows(present, least + self.slack) & self.intact
+        follows = self.law.effect.follows(present, self.phi + self.slack) & self.intact
         softening = past_onset[follows[past_onset] & (x < final)[past_onset]]
-        return np.where(follows, present, least), softening, laws.slope(x[softening], softening)
+        return np.where(follows, present, self.phi), softening, laws.slope(x[softening], softening)
 
     def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
         """Return the bonds within ``band`` of the largest drive, their number, and that drive [-].
@@ -142,15 +128,15 @@ class FailingBonds:
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def soften(self, x: Float) -> float:
-        """Take the damage at drives x, if forces have no energy for good; return the largest change (collective)."""
-        T, before = self.following(x)[0], self._before[1]
-        if self.frozen and not self.has_energy:
+        """Take the degradation factor at drives x for good; return the largest change of any bond (collective)."""
+        T = self.following(x)[0]
+        if self.frozen:
             # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
             T = np.minimum(T, self.phi)
         change = float(np.abs(self.phi - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.kappa[:] = self.law.effect.reached(x, before)
+        self.kappa[:] = self.law.effect.reached(x, self.kappa)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:

@@ -53,8 +53,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     end a solve as converged where force and step are small numbers, whatever the residual is.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are taken. There and
-    with damage whose forces have no energy linear solves go to 1e-8; else to 1e-3 at first, and further as Newton
-    converges (Eisenstat1996).
+    with damage of bonds linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges
+    (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
@@ -78,10 +78,10 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    has_energy = problem.damage is not None and problem.damage.forces_have_energy
-    if solver.of_energy and not problem.linear and (problem.damage is None or has_energy):
+    of_points = problem.damage is not None and problem.damage.forces_have_energy
+    if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
-    if has_energy:
+    if of_points:
         # Conjugate gradients stop at negative curvature with a direction along which the energy falls, or rises.
         defaults["snes_max_linear_solve_fail"] = defaults["snes_max_it"]
     if choice.levels and problem.constrained:

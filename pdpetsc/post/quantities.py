@@ -342,8 +342,7 @@ class DissipatedEnergy(Quantity):
                 "work less the stored energy is not what this body dissipates; leave DissipatedEnergy out and look at "
                 "StrainEnergy."
             )
-        # What points that fail have dissipated contains that of their control.
-        whole = problem.damage is not None and problem.damage.of_bonds is None and problem.damage.forces_have_energy
+        whole = problem.damage is not None and problem.damage.forces_have_energy
         others = not whole and any(term.has_history for term in problem.terms if term is not problem.material_term)
         return solution.work - sum(solution.energies.values()) if known is None or others else known
 

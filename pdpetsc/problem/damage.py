@@ -140,7 +140,7 @@ class DamageModel(ABC):
 
     @abstractmethod
     def soften(self, state: State) -> float:
-        """Take the damage at a state, if forces have no energy for good; return the largest change of a factor [-]."""
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
 
     def dissipation_gradient(self, state: State) -> Float | None:
         """Return the derivative of the dissipated energy by the unknowns (n_rows, dim) [force]; None if not known."""
@@ -226,11 +226,6 @@ class Damage(DamageModel):
         return self.bonds.law.effect.breaks_by_family_strain
 
     @property
-    def forces_have_energy(self) -> bool:  # type: ignore[override]
-        """Return whether the forces of bonds that soften derive from one energy (not collective)."""
-        return self.bonds.has_energy
-
-    @property
     def reversible(self) -> bool:  # type: ignore[override]
         """Return whether bonds that have not broken may regain force (not collective)."""
         return self.bonds.law.effect.reversible
@@ -309,7 +304,7 @@ class Damage(DamageModel):
         return self.bonds.fading(self.driving_values(state))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state, if forces have no energy for good; return the largest change of a factor [-]."""
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         return self.bonds.soften(self.driving_values(state))
 
     def stored(self) -> tuple[Float, ...]:

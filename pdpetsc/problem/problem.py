@@ -323,7 +323,7 @@ class Problem:
         return broken
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state, as ``DamageModel.soften``; return the largest change of a factor [-]."""
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         assert self.damage is not None
         change = self.damage.soften(state)
         if change > 0.0:

@@ -70,10 +70,10 @@ def load_steps(
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate (sweeps) until neither changes: damage only grows, or an energy falls, so this ends.
-    Bonds of a law that lets them heal also break where Newton converges without a jump; in sweeps they do not heal, and
-    a last solve by Newton lets them. A step that fails is halved and starts again from the last converged state; after
-    an easy one the step grows by half, up to the largest.
+    that equilibrium alternate (sweeps) until neither changes: damage only grows, so this ends. Bonds of a law that lets
+    them heal also break where Newton converges without a jump; in sweeps they do not heal, and a last solve by Newton
+    lets them. A step that fails is halved and starts again from the last converged state; after an easy one the step
+    grows by half, up to the largest.
 
     Raises
     ------
@@ -174,15 +174,13 @@ def equilibrium(
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
-        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible or has_energy else 1)
+        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:
             return attempt, result, broken, 0
-        if not (reversible or has_energy):
+        if not reversible:
             break
         broken += more
-        attempt, again = solver.solve(attempt, target)
-        counts = result.iterations + again.iterations, result.linear_iterations + again.linear_iterations
-        result = replace(again, iterations=counts[0], linear_iterations=counts[1])
+        attempt, result = solver.solve(attempt, target)
     if stop():
         return attempt, result, broken, 0
     problem.revert_bonds()  # fields that were solved for stay
@@ -253,8 +251,7 @@ def settle(
 
     A sweep leaves equilibrium with the damage before it. Where it changes little, Newton with damage that follows the
     displacement begins from there, and its answer, which is in equilibrium with its own damage, ends the search. Where
-    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots;
-    while they change much they lean to the branch that ``Tilt`` chooses.
+    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots.
     After an answer that does not count sweeps go on until they change ten times less, in the end until damage has
     settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its sign, and a
     step along which the energy rises is turned round.
@@ -276,7 +273,7 @@ def settle(
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
-    broken, iterations, linear, change = 0, 0, 0, 1.0
+    broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
         damage.freeze(True)
         with solver.loosely() if energy and near >= LAST else nullcontext():
@@ -285,9 +282,7 @@ def settle(
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
             return u, result, broken, sweep
-        leans = energy and solver.of_minima and change > NEAR
-        change = problem.soften(solver.state(solver.tilt(u) if leans else u))
-        # A piece that bonds with next to no force hold is not solvable: they break here, though the search goes on.
+        change = problem.soften(solver.state(u))
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:

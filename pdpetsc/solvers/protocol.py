@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, TypeAlias
 
 from pdpetsc.arrays import Float
@@ -14,7 +13,6 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.tilt import Tilt
 
 
 @dataclass(frozen=True)
@@ -278,11 +276,6 @@ class StepSolver(Solver):
     def state(self, u: Float) -> State:
         """Return the state at unknowns and the step time of the last solve (collective)."""
         return self.problem.state(u, self.t)
-
-    @cached_property
-    def tilt(self) -> Tilt:
-        """Return what chooses between equal branches by place (collective the first time)."""
-        return Tilt(self.problem.body.cloud)
 
     def refuse_mechanism(self, u: Float) -> None:
         """Raise SolveError on all ranks if the equilibrium at ``u`` is one of infinitely many (collective).

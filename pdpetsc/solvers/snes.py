@@ -53,8 +53,8 @@ class SnesSolver(StepSolver):
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self.snes = PETSc.SNES().create(comm=self._comm)
-        # Whether the energy rises along the last step that the linear solver gave, and whether it gave none.
-        self._rises = self._lost = False
+        # Whether the energy rises along the last step that the linear solver gave.
+        self._rises = False
 
     def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
         """Give SNES its functions, and SNES and linear solvers their options."""
@@ -172,19 +172,11 @@ class SnesSolver(StepSolver):
         at least.
         """
         ksp = self._tangent_solver
-        if self.meets_curvature and self.snes.getIterationNumber() > 0 and (self._rises or self._unstable):
+        indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
+        solved = self.meets_curvature and self.snes.getIterationNumber() > 0
+        if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
         return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
-
-    @property
-    def _unstable(self) -> bool:
-        """Return whether the linear solver is known to have met negative curvature in its last solve."""
-        ksp = self._tangent_solver
-        if ksp is None:
-            return False
-        if self.meets_curvature:
-            return bool(ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT)
-        return bool(self._equilibrium.negative_pivots(self.snes, ksp))
 
     def _answer(self, b: Float) -> Float:
         """Return the unknowns (n,) that the tangent, which was solved with last, answers forces ``b`` with [length]."""
@@ -217,23 +209,15 @@ class SnesSolver(StepSolver):
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0.
 
-        Where forces have an energy, also damage included, a step along which it rises is turned round, and one at an
-        unstable state leans to the branch that ``Tilt`` chooses.
+        Where forces have an energy, also damage included, a step along which it rises is turned round.
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
-        if not np.isfinite(y.norm()):
-            # Where solves that meet negative curvature may go on, one that failed otherwise has no step to give.
-            self._lost = True
-            y.set(0.0)
-            return
         if damage is not None and damage.forces_have_energy and self.problem.symmetric and self.of_minima:
             # The step is -y, and the residual the derivative of the energy.
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
             if self._rises:
                 y.scale(-1.0)
-            if self._rises or self._unstable:
-                y.array_w[: self._n_u] = self.tilt(y.array_r[: self._n_u].reshape(-1, self.problem.dim)).ravel()
         if not sought.resting:
             step = y.array_r * self._scales.length
             y.array = sought.held_in_place(step, self._read(x), self._answer, self._rtol) / self._scales.length
@@ -253,9 +237,6 @@ class SnesSolver(StepSolver):
         sought, x = self._equilibrium, snes.getSolution()
         if self.stop():
             return sought.interrupted()
-        if self._lost:
-            self._lost = False
-            return int(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
         values, others = self._read(x), self._others_converged(x)
         verdict = sought.verdict(values, iteration, self._norm(norms[2]), self._rtol)
         if verdict is None or verdict < 0:

@@ -143,10 +143,6 @@ class BondForces(MaterialTerm):
             scheme, of, factor = Correspondence(), self._material_of, self._factor
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
         self._is_nonlocal = damage.driving_variable.is_nonlocal
-        # The force of a bond that softens is a function of its own elongation; one that snaps has no minimum to find,
-        # and at finite displacements a search for one may send a piece that comes free far away.
-        laws, own = damage.bonds.laws, self.a is None and not self._is_nonlocal and not self.finite
-        damage.bonds.has_energy = own and laws.softens and not laws.snaps and not damage.reversible
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
     @property

@@ -27,6 +27,7 @@ from pdpetsc.renamed import accept_old_methods
 T = TypeVar("T")
 
 
+# Selects all bonds.
 EVERY = slice(None)
 
 
@@ -98,10 +99,10 @@ class DamageableBonds:
         return OppositeBonds(self.cloud, self.families, self.keys())
 
     def keys(self, bonds: GlobalIndex | Mask | slice = EVERY) -> GlobalIndex:
-        """Return what tells some bonds (n, 3) from all others, the same from both ends and on any ranks.
+        """Return the keys of some bonds (n, 3), which are the same from both ends of a bond and on any ranks.
 
-        The global ids of both ends, the lower first, and the place of the second seen from the first. A bond to the own
-        mirror image has one end only, in the part of the body that is computed.
+        A key is made of the global ids of both ends, the lower first, and the place of the second seen from the first.
+        A bond to the own mirror image has one end only, in the part of the body that is computed.
         """
         gid, (one, other, place) = self.cloud.gid, self._ends(bonds)
         return np.stack([gid[one], gid[other], place], axis=1)

@@ -63,7 +63,8 @@ def failed_bonds(problem, share):
 def solve(scene, jacobian, broken=0.0, around=nullcontext):
     """Return what one solve took and gave; the iterations run inside the context ``around``."""
     comm, clock = world(), Clock()
-    cloud = make_cloud(comm, scene)
+    with clock("cloud"):
+        cloud = make_cloud(comm, scene)
     rehearse(comm, scene, cloud.dim)
     with clock("search"):
         families = make_families(scene, cloud)

@@ -13,12 +13,12 @@ what was measured. Prints, medians of ``repeats``, seconds of
 ``elements``  linear elements on the same mesh, one rank: stiffness matrix, GAMG, iterations to the same residual
 
 and ``weights_over_solve``, ``over_elements`` (cloud, model and solve over elements), ``bytes_a_particle``, the memory
-that the process takes more once the system is solved.
+that the process takes more once the system is solved. On several ranks elements are left out.
 """
 
 import json
 import sys
-import time
+from contextlib import contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -27,21 +27,17 @@ import study
 words = study.start("convergence")
 
 import common  # noqa: E402
+import linear  # noqa: E402
 import numpy as np  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 from scipy.sparse import csr_matrix  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.declare.solvers import Newton  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
+from pdpetsc.discrete.communicator import is_root, total, world  # noqa: E402
 from pdpetsc.output.pace import memory_now  # noqa: E402
-from pdpetsc.petsc.defaults import default_options  # noqa: E402
-from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
-from pdpetsc.petsc.options import Options  # noqa: E402
-from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
 from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
 
-RTOL, STRAIN, E, NU = 1e-8, 0.01, 1.0, 0.25
+STRAIN, E, NU = 0.01, 1.0, 0.25
 CELLS = {"tetrahedra": (3, common.simplices), "hexahedra": (3, common.cubes), "triangles": (2, common.simplices)}
 
 
@@ -68,45 +64,6 @@ def block_of(kind, n, horizon, shake, weights):
             pd.Displacement(pd.region.Slab("x", low=1.0 - end), x=STRAIN),
         ],
     )
-
-
-class Clock:
-    """Seconds of phases, the longest of all ranks."""
-
-    def __init__(self):
-        self.spent = {}
-
-    def __call__(self, name, work, *args):
-        """Return what ``work`` returns, and keep how long it took."""
-        world().Barrier()
-        before = time.perf_counter()
-        answer = work(*args)
-        self.spent[name] = self.spent.get(name, 0.0) + largest(world(), time.perf_counter() - before)
-        return answer
-
-
-def displaced(problem, cloud):
-    """Solve for the displacements; return the iterations, and whether they converged."""
-    supports, chosen = problem.supports, {}
-    choice = choose(problem, chosen, Newton())
-    with Options(chosen).suggest(default_options(problem, Newton(), choice)).active():
-        tangent = make_tangent(
-            assembler(problem, choice), supports.fixed, stiffness_scale(problem.body, problem.material_term)
-        )
-        state = problem.state(np.zeros((cloud.n_rows, cloud.dim)))
-        tangent.update(state)
-        ksp = PETSc.KSP().create(comm=world())
-        ksp.setOperators(tangent.mat, tangent.preconditioner)
-        ksp.setFromOptions()
-        tangent.equip(ksp)
-        ksp.setTolerances(rtol=RTOL)
-        b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
-        b.array = np.where(supports.fixed, 0.0, -problem.linearised(state)(supports.prescribed(1.0))).ravel()
-        ksp.solve(b, x)
-        found = ksp.getIterationNumber(), ksp.getConvergedReason()
-        ksp.destroy()
-        tangent.destroy()
-    return found
 
 
 def elastic(dim):
@@ -181,7 +138,7 @@ def elements(points, block):
     ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
     ksp.setOperators(matrix)
     ksp.getPC().setType("gamg")
-    ksp.setTolerances(rtol=RTOL)
+    ksp.setTolerances(rtol=linear.RTOL)
     x, rhs = matrix.createVecs()
     rhs.array = b
     ksp.solve(rhs, x)
@@ -193,28 +150,32 @@ def elements(points, block):
 
 def measure(values):
     """Return what one run of all took."""
-    comm, clock = world(), Clock()
-    scene = block_of(**values, weights="conforming")
+    comm, clock, used = world(), linear.Clock(), {}
+
+    @contextmanager
+    def watched():
+        yield
+        used["memory"] = float(total(comm, float(memory_now() - before)))
+
     standard = block_of(**values, weights="standard")
-    rehearse(comm, scene, scene.particles.chunk(0, 1).x.shape[1])
+    cloud = make_cloud(comm, standard)
+    rehearse(comm, standard, cloud.dim)
+    families = make_families(standard, cloud)
+    with clock("standard"):
+        make_problem(standard, cloud, families)
     before = memory_now()
-    cloud = clock("cloud", make_cloud, comm, standard)
-    families = clock("cloud", make_families, standard, cloud)
-    clock("standard", make_problem, standard, cloud, families)
-    clock.spent.pop("cloud")
-    cloud = clock("cloud", make_cloud, comm, scene)
-    families = clock("cloud", make_families, scene, cloud)
-    problem = clock("model", make_problem, scene, cloud, families)
-    iterations, reason = clock("solve", displaced, problem, cloud)
-    spent = clock.spent
-    spent["weights"] = spent["model"] - spent.pop("standard")
-    memory = float(total(comm, float(memory_now() - before)))
-    points, block = mesh(values["kind"], values["n"], values["shake"])
-    of_elements = clock("elements", elements, points, block) if is_root(comm) and comm.size == 1 else 0
+    found = linear.solve(block_of(**values, weights="conforming"), "matfree", around=watched)
+    seconds = found["seconds"]
+    if comm.size == 1:
+        points, block = mesh(values["kind"], values["n"], values["shake"])
+        with clock("elements"):
+            of_elements = elements(points, block)
     return {
-        "particles": cloud.n_global, "bonds": int(total(comm, families.n_bonds)), "note": problem.material_term.note,
-        **spent, "iterations": iterations, "converged": reason > 0, "element_iterations": of_elements,
-        "bytes_a_particle": memory / cloud.n_global,
+        "particles": found["particles"], "bonds": found["bonds"], "cloud": seconds["cloud"] + seconds["search"],
+        "model": seconds["model"], "solve": found["scratch"], "weights": seconds["model"] - clock.spent["standard"],
+        "iterations": found["linear_iterations"], "converged": found["reason"] > 0,
+        **({"elements": clock.spent["elements"], "element_iterations": of_elements} if comm.size == 1 else {}),
+        "bytes_a_particle": used["memory"] / found["particles"],
     }  # fmt: skip
 
 

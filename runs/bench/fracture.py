@@ -1,6 +1,6 @@
 """Time load steps with a growing crack: [mpirun -n 2] python runs/bench/fracture.py [name=value ...] [-option ...].
 
-A block of n x n/2 particles (in space n x n/2 x n/4) of unit spacing and E = 1, with a crack along its middle plane
+A block of n x n/2 particles (in space n x n/2 x n/4; n/2 is made even, so that the crack lies between particles) of unit spacing and E = 1, with a crack along its middle plane
 from one end to a third of its length. Both halves of this end are pulled apart, up to the opening at which beam theory
 has the crack at 0.6 of the length, in ``steps`` load steps. Parameters and their defaults: dim=3 n=32 horizon=3.015
 model=point steps=10 json=; model is ``point`` for damage at gradient points, ``bonds`` for softening bonds,
@@ -23,7 +23,7 @@ ONSET, RATIO = 0.002, 4.0
 
 def case(dim=3, n=32, horizon=3.015, model="point", steps=10):
     """Return the block."""
-    sides = [1.0 * n, 1.0 * (n // 2), 1.0 * (n // 4)][:dim]
+    sides = [1.0 * n, 2.0 * (n // 4), 1.0 * (n // 4)][:dim]
     half, tip, arm = 0.5 * sides[1], float(n // 3), 0.25 * n
     far = [sides[2] + 1.0] * 2 + [-1.0] * 2 if dim == 3 else []
     corners = [(-1.0, half), (tip, half), (tip, half), (-1.0, half)]

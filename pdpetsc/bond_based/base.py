@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.special import roots_legendre
+import scipy
 
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.declare.influence import Influence, evaluate
@@ -59,7 +59,7 @@ class Neighbourhood:
         """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon of each particle (n_owned,)."""
         dim, horizon = self.cloud.dim, self.cloud.local_horizon[: self.cloud.n_owned]
         surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
-        points, weights = roots_legendre(QUADRATURE)
+        points, weights = scipy.special.roots_legendre(QUADRATURE)
         s = np.concatenate([0.25 * (points + 1.0), 0.25 * (points + 3.0)])
         values = evaluate(self.influence, s) * s ** (power + dim - 1) * np.tile(0.25 * weights, 2)
         return np.asarray(surface * self.thickness * horizon ** (power + dim) * values.sum())

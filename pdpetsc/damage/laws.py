@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from scipy.special import roots_legendre
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import Criterion, DamageableBonds
@@ -119,7 +119,7 @@ class BondDamage(Declared, ABC):
         degree : float
             With which power of the drive that energy grows [-].
         """
-        points, weights = roots_legendre(QUADRATURE)
+        points, weights = scipy.special.roots_legendre(QUADRATURE)
         one, last = np.array([self.onset]), np.array([self.final])
         lost = np.where(x > self.onset, self.onset**degree * (1.0 - self.phi(one)[0]), 0.0)
         lost += np.where(x >= self.final, self.final**degree * self.phi(last)[0], 0.0)

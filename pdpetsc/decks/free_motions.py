@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.decks.expressions import parse
@@ -45,7 +45,7 @@ def hold_free_motions(script: Script) -> None:
         return
     _refuse_unbalanced(script, free)
     candidates = np.where(fixed[:, :, None], 0.0, free).reshape(-1, count)
-    _, _, order = qr(candidates.T, mode="economic", pivoting=True)
+    _, _, order = scipy.linalg.qr(candidates.T, mode="economic", pivoting=True)
     for dof in sorted(order[:count].tolist()):
         particle, axis = divmod(int(dof), body.dim)
         mask: Mask = np.arange(len(body.x)) == particle

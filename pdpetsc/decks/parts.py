@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float
 from pdpetsc.bounds import MOST_STEPS
@@ -152,9 +152,9 @@ def note_ties(script: Script) -> None:
     """Note bonds that are as long as the horizon within rounding, which families of a grid of the deck have not."""
     if script.body.families is not None:
         return
-    every, count = cKDTree(script.body.x), 0
+    every, count = scipy.spatial.cKDTree(script.body.x), 0
     for where, length in script.horizon:
-        own = cKDTree(script.body.x[where.mask])
+        own = scipy.spatial.cKDTree(script.body.x[where.mask])
         shorter, longer = own.count_neighbors(every, np.array([1.0 - TIE, 1.0 + TIE]) * length)
         count += int(longer - shorter)
     if count:
@@ -261,7 +261,9 @@ def damage_by_block(
         return
     reach = max(length for _, length in script.horizon) * (1.0 + TIE)
     for (one, here), (other, there) in itertools.combinations(parts.items(), 2):
-        shared = cKDTree(script.body.x[here.mask]).count_neighbors(cKDTree(script.body.x[there.mask]), reach)
+        shared = scipy.spatial.cKDTree(script.body.x[here.mask]).count_neighbors(
+            scipy.spatial.cKDTree(script.body.x[there.mask]), reach
+        )
         if shared:
             raise CaseError(
                 f"The deck has bonds between blocks with the damage model {one or 'None'} and blocks with "

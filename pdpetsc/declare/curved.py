@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import roots_legendre
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
@@ -173,7 +173,7 @@ def _summed(x: Float, N: Float, along: Float, across: Float, weight: Float) -> t
 
 
 def _on_lines(x: Float, order: int) -> tuple[Float, Float]:
-    s, weight = roots_legendre(order)
+    s, weight = scipy.special.roots_legendre(order)
     N = np.stack([0.5 * s * (s - 1.0), 0.5 * s * (s + 1.0), 1.0 - s**2], axis=1)
     along = np.einsum("qm,nmi->nqi", np.stack([s - 0.5, s + 0.5, -2.0 * s], axis=1), x)
     area = np.stack([along[..., 1], -along[..., 0]], axis=-1) * weight[:, None]
@@ -182,7 +182,7 @@ def _on_lines(x: Float, order: int) -> tuple[Float, Float]:
 
 def _triangle(order: int) -> tuple[Float, Float, Float, Float]:
     """Return shape functions of six nodes and their derivatives at the points of a square that is collapsed."""
-    s, w = roots_legendre(order)
+    s, w = scipy.special.roots_legendre(order)
     u, v = np.meshgrid(0.5 * (s + 1.0), 0.5 * (s + 1.0), indexing="ij")
     weight = (0.25 * np.outer(w, w) * (1.0 - u)).ravel()
     b, c = u.ravel(), (v * (1.0 - u)).ravel()
@@ -196,7 +196,7 @@ def _triangle(order: int) -> tuple[Float, Float, Float, Float]:
 
 def _square(order: int) -> list[tuple[Float, Float, Float, Float]]:
     """Return the same of eight nodes, and of nine."""
-    g, w = roots_legendre(order)
+    g, w = scipy.special.roots_legendre(order)
     s, t = (one.ravel() for one in np.meshgrid(g, g, indexing="ij"))
     weight = np.outer(w, w).ravel()
     N, along, across = [], [], []

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.bounds import MOST_BLOCKS
@@ -217,7 +217,7 @@ class Column:
 def _placed(column: Column, version: tuple[int, ...] | None) -> tuple[Any, Float, float]:
     """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
-    return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
+    return scipy.spatial.cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
 
 
 def without_constant(x: Float, at_least: int = 1) -> Float:

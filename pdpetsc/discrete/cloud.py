@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cell import Cell
@@ -354,9 +354,9 @@ def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutua
     if len(x) == 0 or len(candidates) == 0:
         return near
     wide = 1.0 + 2.0 * HORIZON_TOLERANCE
-    there = cKDTree(candidates)
+    there = scipy.spatial.cKDTree(candidates)
     for members in by_reach(reach):
-        here, radius = cKDTree(x[members]), wide * float(reach[members].max())
+        here, radius = scipy.spatial.cKDTree(x[members]), wide * float(reach[members].max())
         if reach[members].min() == reach[members].max():
             distance, _ = here.query(candidates, distance_upper_bound=radius)
             near |= np.isfinite(distance)
@@ -364,7 +364,7 @@ def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutua
         pairs = here.sparse_distance_matrix(there, radius, output_type="ndarray")
         near[pairs["j"][pairs["v"] <= wide * reach[members[pairs["i"]]]]] = True
     if mutual:
-        distance, _ = cKDTree(x).query(candidates, distance_upper_bound=wide * their_reach.max())
+        distance, _ = scipy.spatial.cKDTree(x).query(candidates, distance_upper_bound=wide * their_reach.max())
         near |= distance <= wide * their_reach
     return near
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
@@ -26,8 +25,10 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
     Collective; at most as many exchanges as a piece crosses ranks.
     """
     bonds = families.connecting()
-    graph = coo_matrix((np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local))
-    count, local = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local)
+    )
+    count, local = scipy.sparse.csgraph.connected_components(graph, directed=False)
     label = cloud.gid.copy()
     while True:
         least = np.full(count, np.iinfo(np.int64).max)

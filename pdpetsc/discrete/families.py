@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
@@ -220,15 +220,17 @@ def _pairs(cloud: Cloud) -> LocalIndex:
     """Return the pairs with a bond and an own end (n, 2); of bonds from one end that one is first."""
     if not cloud.varies:
         # Ghosts are not searched from: in a small cell their pairs are many times those with an own end.
-        radius, own = cloud.horizon * (1.0 + HORIZON_TOLERANCE), cKDTree(cloud.x[: cloud.n_owned])
+        radius, own = cloud.horizon * (1.0 + HORIZON_TOLERANCE), scipy.spatial.cKDTree(cloud.x[: cloud.n_owned])
         inside = own.query_pairs(radius, output_type="ndarray")
-        across = own.sparse_distance_matrix(cKDTree(cloud.x[cloud.n_owned :]), radius, output_type="ndarray")
+        across = own.sparse_distance_matrix(
+            scipy.spatial.cKDTree(cloud.x[cloud.n_owned :]), radius, output_type="ndarray"
+        )
         return np.concatenate([inside, np.stack([across["i"], across["j"] + cloud.n_owned], axis=1)])
     n = cloud.n_local if cloud.mutual else cloud.n_owned
-    every, found = cKDTree(cloud.x), [np.empty((0, 2), dtype=np.int64)]
+    every, found = scipy.spatial.cKDTree(cloud.x), [np.empty((0, 2), dtype=np.int64)]
     for members in by_reach(cloud.local_horizon[:n]):
         radius = float(cloud.local_horizon[members].max()) * (1.0 + HORIZON_TOLERANCE)
-        near = cKDTree(cloud.x[members]).sparse_distance_matrix(every, radius, output_type="ndarray")
+        near = scipy.spatial.cKDTree(cloud.x[members]).sparse_distance_matrix(every, radius, output_type="ndarray")
         centre, other = members[near["i"]], near["j"]
         kept = (centre != other) & (near["v"] <= cloud.local_horizon[centre] * (1.0 + HORIZON_TOLERANCE))
         found.append(np.stack([centre[kept], other[kept]], axis=1))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.region import Region, View
@@ -244,7 +244,7 @@ def _before_images(cloud: Cloud, families: Families, x: Float, area: Float, owne
             places[:, other] %= boxes[other]
             places[boxes[other] - places[:, other] <= ON_SIDE * boxes[other], other] = 0.0
         reach = ON_SIDE * float(boxes.max())
-        pairs = cKDTree(places).query_pairs(2.0 * reach, output_type="ndarray")
+        pairs = scipy.spatial.cKDTree(places).query_pairs(2.0 * reach, output_type="ndarray")
         largest = float(np.abs(areas).max(initial=0.0))
         opposite = np.abs(areas[pairs[:, 0]] + areas[pairs[:, 1]]).max(axis=1, initial=0.0) <= 2.0 * ON_SIDE * largest
         apart = np.abs(every[pairs[:, 0], axis] - every[pairs[:, 1], axis]) > 0.5 * boxes[axis]

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
@@ -162,7 +162,7 @@ class ConformingSystem:
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
-    def near_matrix(self, families: Families) -> csr_matrix:
+    def near_matrix(self, families: Families) -> scipy.sparse.csr_matrix:
         """Return the matrix that preconditions ``S`` (n_local, n_local), what this rank adds to it.
 
         It is ``S`` itself where its points have few members, as sectors have: what is left there of the numbers of a
@@ -181,7 +181,9 @@ class ConformingSystem:
         members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
         return self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
 
-    def _matrix(self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float) -> csr_matrix:
+    def _matrix(
+        self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float
+    ) -> scipy.sparse.csr_matrix:
         """Return ``C (I - Phi M^-1 Phi^T) C^T`` of points with the given owners, members and volumes."""
         cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
         M = np.empty((points, dim + 1, dim + 1))
@@ -195,16 +197,16 @@ class ConformingSystem:
         D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
         width, n = dim + 1, cloud.n_local
         columns = (of[:, None] * width + np.arange(width)).ravel()
-        shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
+        shared = scipy.sparse.csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
         diagonal = np.bincount(members, W[of] ** 2, n)
-        found = csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
-        return csr_matrix(found)
+        found = scipy.sparse.csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
+        return scipy.sparse.csr_matrix(found)
 
-    def turned(self, matrix: csr_matrix) -> csr_matrix:
+    def turned(self, matrix: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
         """Return a matrix over the local particles with the signs that the component has on them (not collective)."""
         sign = np.ones((self.cloud.n_local, 1))
         self._turn(sign)
-        return csr_matrix(matrix.multiply(sign).multiply(sign.T))
+        return scipy.sparse.csr_matrix(matrix.multiply(sign).multiply(sign.T))
 
     @property
     def _geometry(self) -> tuple[Any, ...]:
@@ -213,7 +215,7 @@ class ConformingSystem:
 
 
 # Solves S lambda = r: system, near matrix, right-hand sides (n_owned, dim), relative tolerance -> lambda, iterations.
-SolveSystem: TypeAlias = Callable[[ConformingSystem, csr_matrix, Float, float], tuple[Float, int]]
+SolveSystem: TypeAlias = "Callable[[ConformingSystem, scipy.sparse.csr_matrix, Float, float], tuple[Float, int]]"
 
 
 def conforming(

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import QhullError, Voronoi, cKDTree
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.cracks import Polyline
@@ -209,7 +209,7 @@ def spacings(x: Float) -> Float:
     if len(x) < 2:
         return np.ones(len(x))
     beside = 2 * max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
-    distance = cKDTree(x).query(x, k=min(1 + beside, len(x)))[0][:, 1:]
+    distance = scipy.spatial.cKDTree(x).query(x, k=min(1 + beside, len(x)))[0][:, 1:]
     # At a corner of a lattice some of them are farther.
     near = np.where(distance < 1.3 * distance[:, :1], distance, np.nan)
     return np.asarray(np.nanmean(near, axis=1))
@@ -266,7 +266,7 @@ def about(x: Float, u: Float, broken: NDArray[np.int64], lines: Sequence[Sequenc
     most = min(n, {1: 3, 2: 9, 3: 19}[dim])
     if most < 2:
         return F, np.zeros(n, dtype=bool)
-    distance, near = cKDTree(x).query(x, k=most)
+    distance, near = scipy.spatial.cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
     cracks = [Polyline(line) for line in lines] if dim == 2 else []
     held = Held(x, cracks, broken).together(np.arange(n), near)
@@ -346,10 +346,10 @@ def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[lis
         return none
     # Where the size of particles changes the larger ones reach farther.
     widest = float(spacing[near].max())
-    zone = np.flatnonzero(cKDTree(x[near]).query(x, distance_upper_bound=4.0 * widest)[0] < math.inf)
+    zone = np.flatnonzero(scipy.spatial.cKDTree(x[near]).query(x, distance_upper_bound=4.0 * widest)[0] < math.inf)
     try:
-        diagram = Voronoi((x[zone] - x[zone].mean(axis=0)) / widest)
-    except (QhullError, ValueError):
+        diagram = scipy.spatial.Voronoi((x[zone] - x[zone].mean(axis=0)) / widest)
+    except (scipy.spatial.QhullError, ValueError):
         return none
     pairs = np.sort(zone[diagram.ridge_points], axis=1)
     ends = np.array(diagram.ridge_vertices, dtype=np.int64)

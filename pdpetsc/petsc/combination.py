@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy.sparse import coo_array
 
 from pdpetsc.problem.supports import Supports
 
@@ -26,7 +26,7 @@ def combination_matrix(supports: Supports) -> PETSc.Mat:
     rows = np.concatenate([own, on_terms])
     columns = np.concatenate([own + cloud.first * dim, depends])
     values = np.concatenate([np.where(supports.fixed.ravel(), 0.0, 1.0), coefficient])
-    csr = coo_array((values, (rows, columns)), shape=(supports.fixed.size, width)).tocsr()
+    csr = scipy.sparse.coo_array((values, (rows, columns)), shape=(supports.fixed.size, width)).tocsr()
     arrays = csr.indptr.astype(PETSc.IntType), csr.indices.astype(PETSc.IntType), csr.data
     size = (supports.fixed.size, width)
     return PETSc.Mat().createAIJ((size, size), bsize=dim, csr=arrays, comm=cloud.comm)

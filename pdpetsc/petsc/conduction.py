@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy.sparse import csr_matrix
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
@@ -45,7 +45,7 @@ class ScalarMatrix:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, cloud: Cloud, near: csr_matrix, held: Mask, options: Options) -> None:
+    def __init__(self, cloud: Cloud, near: scipy.sparse.csr_matrix, held: Mask, options: Options) -> None:
         self._cloud = cloud
         self._held = held
         self._diagonal = np.zeros(cloud.n_owned)

@@ -43,8 +43,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     The line search ``cp`` looks for a zero of the residual along the step, which is right for the gradient of an
     energy; in slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Its
     secant steps cost residuals only: up to ten of them, against PETSc's one, lower the Newton iterations of the first
-    of ten steps of a cantilever under a large tip force from 32 to 10. They end where a tenth of the first derivative of
-    the energy along the step is left.
+    of ten steps of a cantilever under a large tip force from 32 to 10. They end where a tenth of what the derivative of
+    the energy along the step was at first is left.
     Where options ask for GAMG without a matrix it smooths with the tangent itself (``-pc_use_amat``, PETSc's default),
     whose short waves are softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds
     estimated with the tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Mask
 from pdpetsc.declare.solvers import DeclaredSolver
@@ -211,5 +211,5 @@ def _blocks(problem: Problem) -> float:
     cloud = problem.body.cloud
     sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
     reach = cloud.local_horizon[sample] * problem.horizons * (1.0 + 1e-9)
-    found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
+    found = scipy.spatial.cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
     return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy.sparse import csr_matrix
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
@@ -70,7 +70,7 @@ class _Preconditioner:
 
 
 def solve_scalar(
-    system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float, options: Options | None = None
+    system: ScalarSystem, near: scipy.sparse.csr_matrix, rhs: Float, rtol: float, options: Options | None = None
 ) -> tuple[Float, int]:
     """Return the solutions of a system whose null space are linear functions, and the iterations of all of them.
 
@@ -132,7 +132,7 @@ def solve_scalar(
     return found, iterations
 
 
-def assembled(cloud: Cloud, near: csr_matrix, lifted: float = LIFTED) -> PETSc.Mat:
+def assembled(cloud: Cloud, near: scipy.sparse.csr_matrix, lifted: float = LIFTED) -> PETSc.Mat:
     """Return the sum over ranks of what each adds, its diagonal lifted by a share of it (collective)."""
     sizes = (cloud.n_owned, cloud.n_global)
     entries = near.tocoo()
@@ -141,7 +141,7 @@ def assembled(cloud: Cloud, near: csr_matrix, lifted: float = LIFTED) -> PETSc.M
     firsts = np.array(cloud.comm.allgather(cloud.first))
     owner = np.searchsorted(firsts, rows, side="right") - 1
     (rows, columns, values), _ = exchange(cloud.comm, owner, [rows, columns, entries.data])
-    own = csr_matrix((values, (rows - cloud.first, columns)), shape=sizes)
+    own = scipy.sparse.csr_matrix((values, (rows - cloud.first, columns)), shape=sizes)
     own.sum_duplicates()
     csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
     mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=cloud.comm)

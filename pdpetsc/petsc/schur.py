@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy.sparse import coo_array, csr_array
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import largest
@@ -130,11 +130,15 @@ def _matrix(
 ) -> PETSc.Mat:  # fmt: skip
     """Return a matrix with ``values`` (n_entries, dim) at own rows and the unknowns of columns (collective)."""
     at = (columns[:, None] * dim + np.arange(dim)).ravel()
-    found = csr_array(coo_array((values.ravel(), (np.repeat(rows, dim), at)), shape=(n_rows, width[1])))
+    found = scipy.sparse.csr_array(
+        scipy.sparse.coo_array((values.ravel(), (np.repeat(rows, dim), at)), shape=(n_rows, width[1]))
+    )
     return _of_rows(comm, found, (n_rows, None), width)
 
 
-def _of_rows(comm: PETSc.Comm, rows: csr_array, size: tuple[int, int | None], width: tuple[int, int]) -> PETSc.Mat:
+def _of_rows(
+    comm: PETSc.Comm, rows: scipy.sparse.csr_array, size: tuple[int, int | None], width: tuple[int, int]
+) -> PETSc.Mat:
     """Return a matrix of the rows that each rank has (collective)."""
     rows.sum_duplicates()
     rows.sort_indices()
@@ -168,5 +172,5 @@ def _near(body: Body, columns: GlobalIndex, held: Float, width: tuple[int, int])
     own = np.arange(n * dim)
     entries = np.concatenate([-stiffness.ravel(), diagonal.ravel()])
     rows, at = np.concatenate([row, own]), np.concatenate([at, cloud.first * dim + own])
-    found = csr_array(coo_array((entries, (rows, at)), shape=(n * dim, width[1])))
+    found = scipy.sparse.csr_array(scipy.sparse.coo_array((entries, (rows, at)), shape=(n * dim, width[1])))
     return _of_rows(cloud.comm, found, width, width)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE
@@ -40,7 +40,9 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
     widest = float(reach.max()) * (1.0 + HORIZON_TOLERANCE)
     low, high = own.min(axis=0) - widest, own.max(axis=0) + widest
     around = np.flatnonzero(np.all((cloud.x >= low) & (cloud.x <= high), axis=1))
-    found = cKDTree(own).sparse_distance_matrix(cKDTree(cloud.x[around]), widest, output_type="ndarray")
+    found = scipy.spatial.cKDTree(own).sparse_distance_matrix(
+        scipy.spatial.cKDTree(cloud.x[around]), widest, output_type="ndarray"
+    )
     i, j = zone[found["i"]], around[found["j"]]
     kept = (i != j) & (found["v"] <= cloud.local_horizon[i] * (1.0 + HORIZON_TOLERANCE))
     pairs = np.stack([i[kept], j[kept]], axis=1)

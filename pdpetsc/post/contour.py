@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import roots_legendre
+import scipy
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
@@ -218,7 +218,7 @@ class Domain:
             normal += by.T @ powers
             right += by.T @ (2.0 * np.pi * r[chosen] * rho[chosen])
         normal, right = solution.sum(normal), solution.sum(right)
-        points, shares = roots_legendre(GAUSS)
+        points, shares = scipy.special.roots_legendre(GAUSS)
         radii = 0.5 * start * (1.0 + points)
         q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer, self.tilt)
         inside = (0.5 * start * shares * q) @ (radii[:, None] / start) ** POWERS

@@ -8,9 +8,7 @@ from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import QhullError, Voronoi, cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.region import Region
@@ -62,17 +60,19 @@ class CrackFaces:
             return np.empty(0, dtype=np.int64)
         points = np.concatenate(self.corners)
         size = float(np.median(self.area)) ** (1.0 / (self.middle.shape[1] - 1))
-        same = cKDTree(points).query_pairs(SAME_POINT * size, output_type="ndarray")
-        one = coo_matrix((np.ones(len(same)), tuple(same.T)), shape=(len(points), len(points)))
-        return np.asarray(connected_components(one, directed=False)[1], dtype=np.int64)
+        same = scipy.spatial.cKDTree(points).query_pairs(SAME_POINT * size, output_type="ndarray")
+        one = scipy.sparse.coo_matrix((np.ones(len(same)), tuple(same.T)), shape=(len(points), len(points)))
+        return np.asarray(scipy.sparse.csgraph.connected_components(one, directed=False)[1], dtype=np.int64)
 
     @cached_property
     def piece(self) -> GlobalIndex:
         """Return a number for every face: the same for faces that corners connect."""
         of = np.repeat(np.arange(len(self)), [len(corners) for corners in self.corners])
         size = len(self) + 1 + int(self.nodes.max(initial=-1))
-        links = coo_matrix((np.ones(len(of)), (of, len(self) + self.nodes)), shape=(size, size))
-        return np.asarray(connected_components(links, directed=False)[1][: len(self)], dtype=np.int64)
+        links = scipy.sparse.coo_matrix((np.ones(len(of)), (of, len(self) + self.nodes)), shape=(size, size))
+        return np.asarray(
+            scipy.sparse.csgraph.connected_components(links, directed=False)[1][: len(self)], dtype=np.int64
+        )
 
     def smooth_area(self, radius: float) -> Float:
         """Return the areas as seen along the normal of the crack (n,).
@@ -83,7 +83,7 @@ class CrackFaces:
         """
         if not len(self):
             return np.empty(0)
-        near = cKDTree(self.middle).query_ball_point(self.middle, radius)
+        near = scipy.spatial.cKDTree(self.middle).query_ball_point(self.middle, radius)
         seen = self.area.copy()
         for face, around in enumerate(near):
             members = np.sort(np.array(around)[self.piece[around] == self.piece[face]])
@@ -184,13 +184,13 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
         return none
     around = cloud.x[np.unique(pairs)]
     reach = float(cloud.local_horizon[zone].max())
-    near = np.flatnonzero(cKDTree(around).query(cloud.x, distance_upper_bound=2.0 * reach)[0] < np.inf)
+    near = np.flatnonzero(scipy.spatial.cKDTree(around).query(cloud.x, distance_upper_bound=2.0 * reach)[0] < np.inf)
     place = np.full(cloud.n_local, -1)
     place[near] = np.arange(len(near))
     scale = reach
     try:
-        diagram = Voronoi((cloud.x[near] - cloud.x[near].mean(axis=0)) / scale)
-    except QhullError as error:
+        diagram = scipy.spatial.Voronoi((cloud.x[near] - cloud.x[near].mean(axis=0)) / scale)
+    except scipy.spatial.QhullError as error:
         raise CaseError(
             f"The particles about the broken bond at {cloud.x[pairs[0, 0]]} lie on one line or plane and have no faces "
             f"between them; leave the CrackLength out."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
@@ -111,7 +111,7 @@ class CrackOpening(Quantity):
         moments, sums = np.zeros((len(share), 2, 3, 3)), np.zeros((len(share), 2, 3, 2))
         cloud = solution.cloud
         radius = AROUND * cloud.horizon
-        tree = cKDTree(solution.x) if len(solution.x) else None
+        tree = scipy.spatial.cKDTree(solution.x) if len(solution.x) else None
         for number, place in enumerate(start + share[:, None] * (end - start)):
             for frame in frames(cloud, place, (end - start).tolist()):
                 if tree is not None:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cracks import Crack
@@ -96,7 +96,7 @@ class Boxes:
 
 def apart(x: Float) -> Float:
     """Return the mean distance of each of two or more places (n, dim) from what is next to it (n,) [length]."""
-    distance, _ = cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))
+    distance, _ = scipy.spatial.cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))
     return np.asarray(distance[:, 1:].mean(axis=1))
 
 
@@ -107,7 +107,7 @@ class _Nearest:
         self._x, self._size = x, size
         group = np.floor(np.log2(size / size.min())).astype(np.int64)
         self._members = [np.flatnonzero(group == number) for number in np.unique(group)]
-        self._trees = [cKDTree(x[members]) for members in self._members]
+        self._trees = [scipy.spatial.cKDTree(x[members]) for members in self._members]
 
     def query(self, points: Float, k: int) -> tuple[Float, GlobalIndex]:
         """Return distances over sizes, and which (m, k) at most, the nearest first."""
@@ -428,7 +428,7 @@ class Held:
         if not len(wrong):
             return homes
         most = min(2 * 3 ** self.x.shape[1], len(self.x))
-        near = cKDTree(self.x / sides).query(points[wrong] / sides, k=most)[1].reshape(len(wrong), most)
+        near = scipy.spatial.cKDTree(self.x / sides).query(points[wrong] / sides, k=most)[1].reshape(len(wrong), most)
         free = ~self.cut(np.repeat(points[wrong], most, axis=0), self.x[near.ravel()]).reshape(near.shape)
         chosen = np.array(homes)
         chosen[wrong] = np.where(free.any(axis=1), near[np.arange(len(wrong)), free.argmax(axis=1)], homes[wrong])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
@@ -158,7 +158,7 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
 def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held | None) -> Float:
     """Return the linear fits (m, ...) at places (m, d) that belong to particles (m,)."""
     found = np.array(values[homes])
-    tree = cKDTree(x)
+    tree = scipy.spatial.cKDTree(x)
     rank = np.linalg.matrix_rank(x - x.mean(axis=0), tol=FLAT * float(np.ptp(x, axis=0).max()))
     todo, most = np.arange(len(at)), min(FITTED[x.shape[1]], len(x))
     while len(todo):

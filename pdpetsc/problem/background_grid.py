@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import Comm, exchange, offset, total
@@ -515,6 +514,8 @@ def _joined(corners: GlobalIndex, source: GlobalIndex) -> tuple[int, GlobalIndex
     n = len(corners)
     count_1 = int(on_rank.max(initial=-1)) + 1
     size = count_1 + int(of_element.max(initial=-1)) + 1
-    graph = coo_matrix((np.ones(n, dtype=np.int8), (on_rank.reshape(-1), count_1 + of_element)), shape=(size, size))
-    count, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(n, dtype=np.int8), (on_rank.reshape(-1), count_1 + of_element)), shape=(size, size)
+    )
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return int(count), label[on_rank.reshape(-1)].astype(np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+import scipy
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import SolveError
@@ -63,7 +63,7 @@ class HeatSteps:
         self.heat = heat
         self.system: HeatSystem | None = None
         self._options = options
-        self._stiff: tuple[int, csr_matrix] | None = None
+        self._stiff: tuple[int, scipy.sparse.csr_matrix] | None = None
         self._made: tuple[tuple[int, float], ScalarMatrix] | None = None
 
     @property
@@ -142,7 +142,7 @@ class HeatSteps:
             if dt:
                 stored = np.zeros(heat.body.cloud.n_local)
                 stored[: heat.body.cloud.n_owned] = heat.capacity / dt
-                near = csr_matrix(heat.declared.theta * near + diags(stored))
+                near = scipy.sparse.csr_matrix(heat.declared.theta * near + scipy.sparse.diags(stored))
             held = heat.prescribed.held
             self._made = key, ScalarMatrix(heat.body.cloud, near, held, self._options)
         return self._made[1]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
@@ -185,7 +185,7 @@ class Heat(Term):
         """Return ``c V`` of the own particles (n_owned,) [energy / temperature] (not collective)."""
         return self.conducting.c * self.body.cloud.volume[: self.body.cloud.n_owned]
 
-    def matrix(self) -> csr_matrix:
+    def matrix(self) -> scipy.sparse.csr_matrix:
         """Return what this rank adds to K, over its particles with ghosts (n_local, n_local) (not collective)."""
         if self._operator is None:
             return self._along_bonds() + self._resisting
@@ -237,16 +237,22 @@ class Heat(Term):
         q = -np.einsum("pab,pb->pa", self._conductivity(operator), gradient)
         return operator.mean_over_points(q, cloud.n_owned)
 
-    def _of_gradient(self, operator: GradientOperator) -> csr_matrix:
+    def _of_gradient(self, operator: GradientOperator) -> scipy.sparse.csr_matrix:
         """Return ``G^T (W k) G``."""
         n, dim = self.body.cloud.n_local, self.body.dim
         shape = (operator.n_points, n)
-        G = [csr_matrix((operator.g[:, a], operator.members, operator.point_ptr), shape=shape) for a in range(dim)]
+        G = [
+            scipy.sparse.csr_matrix((operator.g[:, a], operator.members, operator.point_ptr), shape=shape)
+            for a in range(dim)
+        ]
         k = operator.volume[:, None, None] * self._conductivity(operator)
         parts = [
-            G[a].T @ diags(k[:, a, b]) @ G[b] for a in range(dim) for b in range(dim) if a == b or np.any(k[:, a, b])
+            G[a].T @ scipy.sparse.diags(k[:, a, b]) @ G[b]
+            for a in range(dim)
+            for b in range(dim)
+            if a == b or np.any(k[:, a, b])
         ]
-        return csr_matrix(sum(parts[1:], parts[0]))
+        return scipy.sparse.csr_matrix(sum(parts[1:], parts[0]))
 
     def _conductivity(self, operator: GradientOperator) -> Float:
         """Return the conductivity of the points of an operator (n_points, dim, dim), with their damage."""
@@ -264,7 +270,7 @@ class Heat(Term):
         left = None if self._damage is None else self._damage.conducting_bonds
         return np.ones(len(self._omega)) if left is None else left
 
-    def _control(self, strength: Float) -> csr_matrix:
+    def _control(self, strength: Float) -> scipy.sparse.csr_matrix:
         """Return ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` as a matrix, over bonds that are left."""
         cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
         weight = self._omega * cloud.volume[families.neighbours] * self._intact
@@ -279,11 +285,13 @@ class Heat(Term):
         D = _differences(families.centres, families.neighbours, cloud.n_local)
         xi = families.bonds(cloud.x)
         shape = (cloud.n_owned, cloud.n_local)
-        of = csr_matrix((np.ones(len(xi)), families.centres, np.arange(len(xi) + 1)), shape=(len(xi), cloud.n_owned))
+        of = scipy.sparse.csr_matrix(
+            (np.ones(len(xi)), families.centres, np.arange(len(xi) + 1)), shape=(len(xi), cloud.n_owned)
+        )
         for a in range(dim):
-            slope = csr_matrix((g[:, a], whole.members, whole.point_ptr), shape=shape)
-            D = D - diags(xi[:, a]) @ (of @ slope)
-        return csr_matrix(D.T @ diags(each[families.centres] * weight) @ D)
+            slope = scipy.sparse.csr_matrix((g[:, a], whole.members, whole.point_ptr), shape=shape)
+            D = D - scipy.sparse.diags(xi[:, a]) @ (of @ slope)
+        return scipy.sparse.csr_matrix(D.T @ scipy.sparse.diags(each[families.centres] * weight) @ D)
 
     def _kappa(self) -> Float:
         """Return ``kappa_ij`` of the bonds of the own particles (n_bonds,) [power / temperature]."""
@@ -296,11 +304,11 @@ class Heat(Term):
         each = np.divide(each, moment, out=np.zeros_like(each), where=moment > 0.0)
         return np.asarray(each[families.centres] * weight * self._intact)
 
-    def _along_bonds(self) -> csr_matrix:
+    def _along_bonds(self) -> scipy.sparse.csr_matrix:
         """Return the conduction of bonds."""
         families = self.body.families
         D = _differences(families.centres, families.neighbours, self.body.cloud.n_local)
-        return csr_matrix(D.T @ diags(self._kappa()) @ D)
+        return scipy.sparse.csr_matrix(D.T @ scipy.sparse.diags(self._kappa()) @ D)
 
     @property
     def _facets(self) -> GlobalIndex:
@@ -309,24 +317,26 @@ class Heat(Term):
         assert surface is not None
         return np.repeat(np.arange(len(surface.x)), np.diff(surface.ptr))
 
-    def _convection(self) -> csr_matrix:
+    def _convection(self) -> scipy.sparse.csr_matrix:
         """Return ``sum_f h |a_f| N_f (x) N_f``."""
         n, surface = self.body.cloud.n_local, self.body.surface
-        K = csr_matrix((n, n))
+        K = scipy.sparse.csr_matrix((n, n))
         for condition, mask in self._entering:
             if isinstance(condition, Convection):
                 assert surface is not None
                 h = np.where(mask, condition.coefficient * np.linalg.norm(surface.area, axis=1), 0.0)
-                N = csr_matrix((surface.N, surface.members, surface.ptr), shape=(len(surface.x), n))
-                K = K + csr_matrix(N.T @ diags(h) @ N)
+                N = scipy.sparse.csr_matrix((surface.N, surface.members, surface.ptr), shape=(len(surface.x), n))
+                K = K + scipy.sparse.csr_matrix(N.T @ scipy.sparse.diags(h) @ N)
         return K
 
 
-def _differences(first: LocalIndex, second: LocalIndex, n: int) -> csr_matrix:
+def _differences(first: LocalIndex, second: LocalIndex, n: int) -> scipy.sparse.csr_matrix:
     """Return the matrix that takes ``T_j - T_i`` of bonds from the temperatures of n local particles."""
     rows, one = np.arange(len(first)), np.ones(len(first))
     shape = (len(first), n)
-    return csr_matrix((one, (rows, second)), shape=shape) - csr_matrix((one, (rows, first)), shape=shape)
+    return scipy.sparse.csr_matrix((one, (rows, second)), shape=shape) - scipy.sparse.csr_matrix(
+        (one, (rows, first)), shape=shape
+    )
 
 
 def heat_of(

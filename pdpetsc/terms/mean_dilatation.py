@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.control.by_shear import twice_shear
@@ -369,5 +368,5 @@ def _pieces(families: Families, box: GlobalIndex) -> GlobalIndex:
     a, b = families.centres, families.neighbours
     own = np.flatnonzero(b < n)
     inside = own[number[a[own]] == number[b[own]]]
-    graph = csr_array((np.ones(len(inside), dtype=np.int8), (a[inside], b[inside])), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    graph = scipy.sparse.csr_array((np.ones(len(inside), dtype=np.int8), (a[inside], b[inside])), shape=(n, n))
+    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -1,12 +1,12 @@
 """Time load steps with a growing crack: [mpirun -n 2] python runs/bench/fracture.py [name=value ...] [-option ...].
 
 A block of n x n/2 particles (in space n x n/2 x n/4) of unit spacing and E = 1, with a crack along its middle plane
-from one end to a third of its length; n/2 is rounded to even, so that the crack lies between particles. Both halves of this end are pulled apart, up to the opening at which beam theory
-has the crack at 0.6 of the length, in ``steps`` load steps. Parameters and their defaults: dim=3 n=32 horizon=3.015
-model=point steps=10 json=; model is ``point`` for damage at gradient points, ``bonds`` for softening bonds,
-``correspondence`` for gradients whose bonds soften; json is a file for what was measured. Prints, in the mean of the
-load steps, seconds, sweeps, Newton and linear iterations, and at the end broken bonds, the tip of the crack over the
-length, and the memory of all ranks [MiB].
+from one end to a third of its length; n/2 is rounded to even, so that the crack lies between particles. Both halves of
+this end are pulled apart, up to the opening at which beam theory has the crack at 0.6 of the length, in ``steps`` load
+steps. Parameters and their defaults: dim=3 n=32 horizon=3.015 model=point steps=10 json=; model is ``point`` for damage
+at gradient points, ``bonds`` for softening bonds, ``correspondence`` for gradients whose bonds soften; json is a file
+for what was measured. Prints, in the mean of the load steps, seconds, sweeps, Newton and linear iterations, and at the
+end broken bonds, the tip of the crack over the length, and the memory of all ranks [MiB].
 """
 
 import json

@@ -76,12 +76,16 @@ def against(folder, base):
         "2D 40401, sub-horizons": {"dim": 2, "n": 201, "scheme": "sub_horizons", "G": 0.0},
         "3D 27000": {"dim": 3, "n": 30},
         "3D 13824, sub-horizons": {"dim": 3, "n": 24, "scheme": "sub_horizons", "G": 0.0, "repeats": 1},
+        "3D 13824, 2 % broken": {"dim": 3, "n": 24, "broken": 0.02, "repeats": 1},
     }
     for name, body in bodies.items():
         ours, theirs = (measure(folder, 1, checkout=where, **{**common, **body}) for where in (HERE.parents[1], base))
         ratios[f"{name}: solve from scratch, other / this"] = theirs["scratch"] / ours["scratch"]
         ratios[f"{name}: memory, other / this"] = theirs["peak_MiB"] / ours["peak_MiB"]
         ratios[f"{name}: iterations, other / this"] = theirs["linear_iterations"] / ours["linear_iterations"]
+        if "broken" in body:
+            for phase in ("model", "operator"):
+                ratios[f"{name}: {phase}, other / this"] = theirs["seconds"][phase] / ours["seconds"][phase]
     ours, theirs = (evaluated(folder, where) for where in (HERE.parents[1], base))
     for name, values in ours.items():
         for what, mine, other in zip(("forces", "tangent"), values, theirs[name], strict=True):

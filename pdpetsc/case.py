@@ -12,7 +12,7 @@ from pdpetsc.bond_based import BondMaterial
 from pdpetsc.control import ZeroEnergyControl
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.declare.cell import Cell
-from pdpetsc.declare.conditions import Condition
+from pdpetsc.declare.conditions import Condition, condition_name
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.horizon import AnyHorizon, check_horizon
@@ -380,7 +380,7 @@ def check_declared(case: Case, dim: int) -> None:
         _in(f"Material {number}", region.check, dim)
     for number, condition in enumerate(case.conditions, 1):
         if hasattr(condition, "region"):
-            _in(f"{type(condition).__name__} condition {number}", condition.region.check, dim)
+            _in(condition_name(condition, number), condition.region.check, dim)
     for what, region in [] if case.damage is None else case.damage.places:
         _in(what, region.check, dim)
     case.solver.check(dim)

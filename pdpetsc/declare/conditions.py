@@ -33,6 +33,11 @@ class Condition(Declared, ABC):
         """
 
 
+def condition_name(condition: object, number: int) -> str:
+    """Return what messages call a condition of a case, by its number from 1."""
+    return f"{type(condition).__name__} condition {number}"
+
+
 @dataclass(frozen=True)
 class _Vector(Condition):
     region: Region

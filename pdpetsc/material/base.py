@@ -197,7 +197,7 @@ class IsotropicMaterial(Material):
     """
 
     E: Modulus
-    nu: PoissonRatio = 0.0
+    nu: PoissonRatio
     plane: Literal["strain", "stress"] = "strain"
 
     def constants(self, dim: int) -> Float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -64,8 +64,8 @@ class DruckerPrager(LogarithmicMaterial):
     False
     """
 
-    cohesion: Positive = 1.0
-    friction: float = 0.0
+    cohesion: Positive = field(kw_only=True)
+    friction: float = field(kw_only=True)
     dilatancy: float | None = None
     hardening: NonNegative | Hardening = 0.0
     fit: Literal["compression", "tension", "plane strain"] = "compression"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -59,7 +59,7 @@ class J2(Yields, LogarithmicMaterial):
     >>> sheet = pd.J2(E=206.9e3, nu=0.29, plane="stress", yield_stress=450.0, hardening=law)
     """
 
-    yield_stress: Positive = 1.0
+    yield_stress: Positive = field(kw_only=True)
     hardening: NonNegative | Hardening = 0.0
     rate: RateLaw | None = None
 

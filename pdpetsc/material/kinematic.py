@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class KinematicJ2(Yields, LagrangianMaterial):
     >>> steel = pd.KinematicJ2(E=200e3, nu=0.3, yield_stress=250.0, kinematic=5e3, hardening=pd.hardening.Voce(80, 9))
     """
 
-    yield_stress: Positive = 1.0
+    yield_stress: Positive = field(kw_only=True)
     kinematic: NonNegative = 0.0
     hardening: NonNegative | Hardening = 0.0
     rate: RateLaw | None = None

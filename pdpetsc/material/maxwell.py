@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -59,8 +59,8 @@ class Maxwell(LagrangianMaterial):
     True
     """
 
-    shear: Sequence[Positive] = (1.0,)
-    times: Sequence[Positive] = (1.0,)
+    shear: Sequence[Positive] = field(kw_only=True)
+    times: Sequence[Positive] = field(kw_only=True)
     duration: Positive = 1.0
 
     may_fail: ClassVar[bool] = False

@@ -43,8 +43,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     The line search ``cp`` looks for a zero of the residual along the step, which is right for the gradient of an
     energy; in slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Its
     secant steps cost residuals only: up to ten of them, against PETSc's one, lower the Newton iterations of the first
-    of ten steps of a cantilever under a large tip force from 32 to 10. They end where a tenth of what the derivative of
-    the energy along the step was at first is left.
+    of ten steps of a cantilever under a large tip force from 32 to 10.
+    Where points fail a search ends once a tenth of the first derivative of the energy along the step is left: there the
+    energy has kinks, and to look further costs as many residuals again.
     Where options ask for GAMG without a matrix it smooths with the tangent itself (``-pc_use_amat``, PETSc's default),
     whose short waves are softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds
     estimated with the tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice
@@ -62,12 +63,14 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         "snes_linesearch_type": "cp" if solver.of_energy and not problem.linear else "basic",
         "snes_linesearch_max_it": 10,
         "snes_linesearch_atol": 0.0,
-        "snes_linesearch_rtol": 0.1,
         "snes_atol": 0.0,
         "ksp_atol": 0.0,
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
+    of_points = problem.damage is not None and problem.damage.forces_have_energy
+    if of_points:
+        defaults["snes_linesearch_rtol"] = 0.1
     if choice.direct:
         defaults |= {
             "ksp_type": "preonly",
@@ -80,7 +83,6 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    of_points = problem.damage is not None and problem.damage.forces_have_energy
     if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from pdpetsc.case import Case
+from pdpetsc.declare.conditions import Displacement, condition_name
 from pdpetsc.declare.cracks import recorded as recorded_crack
+from pdpetsc.declare.region import Nearest
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
@@ -132,6 +135,11 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     held = problem.supports.held_by_condition()
     for name, axes, count in held:
         report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
+    for name, count in _held_twice(case, held):
+        report.warn(
+            f"{name} holds {count} particles that are equally near to its point, which may resist rotation as a clamp "
+            f"does; take the point nearer to one of them."
+        )
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
         # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
@@ -143,3 +151,14 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
         )
     supports = [{"condition": name, "components": axes, "particles": count} for name, axes, count in held]
     return {"supports": supports, "held_at_cut_families": cut}
+
+
+def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
+    """Return displacements at a point that hold more particles than one, and how many."""
+    counts = {name: count for name, _, count in held}
+    found = []
+    for number, condition in enumerate(case.conditions, 1):
+        name = condition_name(condition, number)
+        if isinstance(condition, Displacement) and isinstance(condition.region, Nearest) and counts[name] > 1:
+            found.append((name, counts[name]))
+    return found

@@ -17,6 +17,7 @@ from pdpetsc.declare.conditions import (
     SurfacePressure,
     Traction,
     Value,
+    condition_name,
 )
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature, ThermalCondition
@@ -175,7 +176,7 @@ def apply(
     """
     onto = Applied(body, material_term, particles, times)
     for number, condition in enumerate(conditions, 1):
-        condition.put(onto, f"{type(condition).__name__} condition {number}")
+        condition.put(onto, condition_name(condition, number))
     try:
         for t in times if onto.supports.given.shared else (1.0,):
             onto.supports.prescribed(t)

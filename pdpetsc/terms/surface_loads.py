@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.surface import Surface
@@ -18,6 +18,8 @@ from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
 # Facets look in the direction of a given normal where the cosine between the two is above this.
 LOOKS = np.cos(np.pi / 4.0)
+# A facet is on a side of a box where the cosine between its normal and an axis is above this.
+ON_SIDE = 1.0 - 1e-9
 
 # Forces of some facets (n, dim) [force] at their centroids (n, dim), with their vector areas (n, dim), at a step time.
 _OfFacets: TypeAlias = Callable[[Float, Float, float], Float]
@@ -84,7 +86,27 @@ class SurfaceLoads(PrescribedLoads):
                     f"No facet in the region of {name} looks along its normal {np.round(normal, 6).tolist()}; let it "
                     f"point out of the body, or leave it out."
                 )
+        elif isinstance(condition, Traction):
+            self._refuse_several_sides(mask, name)
         return np.flatnonzero(mask)
+
+    def _refuse_several_sides(self, mask: Mask, name: str) -> None:
+        """Raise on all ranks if facets are those of several sides of a box (collective).
+
+        A slab at the end of a bar holds facets of its top and bottom too, and a staircase has more area than the curve
+        that it stands for. On each facet the traction would be the same.
+        """
+        area, comm = self._surface.area[mask], self.body.cloud.comm
+        along = area / np.linalg.norm(area, axis=1)[:, None]
+        sides = np.array([np.count_nonzero(sign * along > ON_SIDE, axis=0) for sign in (-1.0, 1.0)])
+        count = total(comm, [*sides.ravel(), len(area)])
+        of_sides, every = count[:-1].reshape(sides.shape), count[-1]
+        if int(of_sides.sum()) == int(every) and np.count_nonzero(of_sides) > 1:
+            names = [f"{'-+'[sign]}{'xyz'[axis]}" for axis, sign in np.argwhere(of_sides.T > 0)]
+            raise CaseError(
+                f"The region of {name} holds facets on {len(names)} sides, {', '.join(names)}, and a traction acts on "
+                f"each; name one with its tag, as region.Named({names[-1]!r}) of a lattice, or with normal=."
+            )
 
     def _add(self, applied: _OnFacets, name: str) -> None:
         """Take in a load and note its resultant."""

@@ -155,7 +155,7 @@ def chowdhury_1(folder):
         case = pd.Case(
             particles=pd.Lattice((0.0,), (3.0 * length,), length / n),
             horizon=0.5 * length,
-            material=pd.LinearElastic(E=1.0),
+            material=pd.LinearElastic(E=1.0, nu=0.0),
             scheme=scheme,
             conditions=[],
         )

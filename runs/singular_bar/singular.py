@@ -32,7 +32,7 @@ class Bar:
 
     def material(self):
         """Return the graded elastic material."""
-        return pd.Graded(pd.LinearElastic(E=self.E0), self.factor)
+        return pd.Graded(pd.LinearElastic(E=self.E0, nu=0.0), self.factor)
 
     def factor(self, x):
         """Return the modulus over E0."""

@@ -40,7 +40,7 @@ def energies(n, parameters, k=None):
     case = pd.Case(
         particles=pd.Lattice((0.0,), (1.0,), 1.0 / n),
         horizon=0.01 * (1.0 + 1e-9),
-        material=pd.LinearElastic(E=1.0),
+        material=pd.LinearElastic(E=1.0, nu=0.0),
         conditions=[],
         **parameters,
     )

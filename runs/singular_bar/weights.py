@@ -122,7 +122,9 @@ def symbol(folder):
         for order in orders(horizon):
             for influence in INFLUENCES:
                 case = bar.case(n=101, horizon=horizon, scheme="higher_order", order=order)
-                problem = study.build(dataclasses.replace(weighted(case, influence), material=pd.LinearElastic(E=1.0)))
+                problem = study.build(
+                    dataclasses.replace(weighted(case, influence), material=pd.LinearElastic(E=1.0, nu=0.0))
+                )
                 xi = problem.body.cloud.x - 0.5
                 middle = np.abs(xi[: problem.body.cloud.n_owned, 0]) < 1e-6
                 k = waves * np.pi * 100.0

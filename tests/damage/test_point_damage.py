@@ -187,7 +187,7 @@ def bar(h_over_dx=3.015, strength=1.0, share=8.0, **changes):
     declared = {
         "particles": pd.Lattice((0.0,), (21.0,), 1.0),
         "horizon": h_over_dx,
-        "material": pd.LinearElastic(E=100.0),
+        "material": pd.LinearElastic(E=100.0, nu=0.0),
         "scheme": pd.Correspondence(),
         "control": pd.Silling(0.5),
         "damage": pd.PointDamage(pd.softening.Linear(), Gc=Gc, strength=strength, protected=~weak),
@@ -335,7 +335,7 @@ def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
     right, left = pd.region.Slab("x", low=16.0), pd.region.Slab("x", high=4.0)
     case = pd.Case(
         particles=pd.Lattice((0.0, 0.0), (20.0, 4.0), 1.0), horizon=2.015, scheme=pd.Correspondence(),
-        control=pd.Silling(2.0), material=pd.LinearElastic(E=100.0, plane="stress"),
+        control=pd.Silling(2.0), material=pd.LinearElastic(E=100.0, nu=0.0, plane="stress"),
         damage=pd.PointDamage(
             pd.softening.Linear(), Gc=lambda x, n: 0.2 + 10.0 * n[:, 1] ** 2,
             strength=lambda x: np.where(np.abs(x[:, 0] - 8.0) < 1.0, 0.9, 1.0), split=pd.split.Whole(),
@@ -424,7 +424,7 @@ TOGETHER = {
         "material": pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0), "damage": FLOWS,
     },
     "graded": {"material": pd.Graded(LINEAR, lambda x: 1.0 + 0.02 * x[:, 0])},
-    "two materials": {"material": [(ENDS[0], pd.LinearElastic(E=200.0, plane="stress")), (~ENDS[0], LINEAR)]},
+    "two materials": {"material": [(ENDS[0], pd.LinearElastic(E=200.0, nu=0.0, plane="stress")), (~ENDS[0], LINEAR)]},
     "finite strain": {"material": pd.Hencky(E=100.0, nu=0.2)},
     "Wan's control": {"control": pd.Wan()},
     "Littlewood's control": {"control": pd.Littlewood()},
@@ -543,7 +543,7 @@ def test_a_sheet_conducts_like_an_intact_one_until_it_is_torn_and_not_after(coup
         pd.Temperature(ENDS[1], 20.0, pd.Hold()),
     ]  # fmt: skip
     case = torn(
-        material=pd.Thermal(pd.LinearElastic(E=100.0, plane="stress"), conductivity=2.0, capacity=0.01), cracks=[],
+        material=pd.Thermal(pd.LinearElastic(100.0, 0.0, "stress"), conductivity=2.0, capacity=0.01), cracks=[],
         heat=pd.HeatConduction(duration=1e3, coupling=coupling, start=20.0), fields=[pd.temperature, pd.local_damage],
         conditions=[pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.5, y=0.0), *hot],
         history={"flux": pd.Mean(pd.heat_flux, "x", pd.region.Slab("x", 6.0, 8.0)), "force": pd.Reaction("x", ENDS[1])},

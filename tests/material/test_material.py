@@ -177,7 +177,21 @@ def test_plane_stress_and_bar_are_the_solid_with_free_sides(rng):
 )
 def test_constants_out_of_range_are_refused(values):
     with pytest.raises(pd.CaseError, match="Hencky"):
-        pd.Hencky(**values)
+        pd.Hencky(**{"nu": 0.0, **values})
+
+
+@pytest.mark.parametrize(
+    ("law", "given", "missing"),
+    [
+        (pd.Hencky, {}, "nu"),
+        (pd.J2, {"nu": 0.3}, "yield_stress"),
+        (pd.DruckerPrager, {"nu": 0.3, "cohesion": 1.0}, "friction"),
+        (pd.Maxwell, {"nu": 0.3, "shear": [0.5]}, "times"),
+    ],
+)
+def test_constants_of_a_body_have_no_default(law, given, missing):
+    with pytest.raises(TypeError, match=missing):
+        law(E=1.0, **given)
 
 
 @pytest.mark.parametrize("name", MATERIALS)

@@ -388,7 +388,7 @@ def test_constants_may_be_in_any_unit():
     for unit in (1e-12, 1.0, 1e12):
         hardening = hard.Linear(0.4 * unit) + hard.Voce(0.4 * unit, 8.0) + hard.Power(0.2 * unit, 0.3)
         rate = rates.Perzyna(DURATION, 0.5, 0.3 * unit, 2.0)
-        points = Points(pd.J2(E * unit, NU, "stress", Y * unit, hardening, rate), 2, 1)
+        points = Points(pd.J2(E * unit, NU, "stress", yield_stress=Y * unit, hardening=hardening, rate=rate), 2, 1)
         points.t = 0.5
         found.append((points.stress(F) / unit, points.tangent(F) / unit))
     for P, A in found:
@@ -402,8 +402,10 @@ def test_the_tangent_of_a_body_that_yields_at_tiny_strains_is_exact(name, kind, 
     """Principal strains lie closer together than those of steel by far, and stresses turn within them all the same."""
     size, (dim, plane) = 1e-5, BODIES[kind]
     law = {
-        "voce": pd.J2(E, NU, plane, Y * size, hard.Voce(0.4 * size, 8.0 / size)),
-        "drucker_prager": pd.DruckerPrager(E, NU, plane, 0.15 * size, 0.5, 0.2, 0.4),
+        "voce": pd.J2(E, NU, plane, yield_stress=Y * size, hardening=hard.Voce(0.4 * size, 8.0 / size)),
+        "drucker_prager": pd.DruckerPrager(
+            E, NU, plane, cohesion=0.15 * size, friction=0.5, dilatancy=0.2, hardening=0.4
+        ),
     }[name]
     points = Points(law, dim)
     F = np.eye(dim) + 0.1 * size * (rng.standard_normal((N, dim, dim)) - np.eye(dim) * (name != "voce"))
@@ -438,7 +440,7 @@ def test_the_tangent_of_a_body_in_plane_stress_is_that_of_differences(name, rng)
         (lambda: hard.Linear(-1.0), "a finite number >= 0 as H"),
         (lambda: rates.Perzyna(0.0, 1.0, 1.0), "a positive number as duration"),
         (lambda: rates.JohnsonCook(1.0, 0.1, 1.0, temperature=1900.0), "below that of melting"),
-        (lambda: pd.J2(1.0, yield_stress=0.1, hardening="voce"), "Hardening as hardening"),
+        (lambda: pd.J2(1.0, nu=0.0, yield_stress=0.1, hardening="voce"), "Hardening as hardening"),
     ],
 )
 def test_wrong_laws_are_refused(make, message):
@@ -548,7 +550,7 @@ def test_one_time_goes_by_in_a_case(tmp_path):
     def graded(x):
         return 1.0 + x[:, 0]
 
-    maxwell, elastic = pd.Maxwell(100.0, 0.3, duration=1.0), pd.LinearElastic(100.0, 0.3)
+    maxwell, elastic = pd.Maxwell(100.0, 0.3, shear=[1.0], times=[1.0], duration=1.0), pd.LinearElastic(100.0, 0.3)
     warm = pd.Thermal(pd.Graded(perzyna(2.0), graded), 1e-3)
     for one, other, heat, names in (
         (perzyna(1.0), perzyna(100.0), None, "J2 of material 1 has a duration of 1 where J2 of material 2 has 100"),

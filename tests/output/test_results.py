@@ -33,7 +33,7 @@ def result(tmp_path_factory):
     case = pd.Case(
         particles=pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5),
         horizon=1.0075,
-        material=pd.LinearElastic(1.0),
+        material=pd.LinearElastic(1.0, nu=0.0),
         scheme=pd.SubHorizons(),
         conditions=[
             pd.Displacement(
@@ -280,7 +280,8 @@ def case(dim=2, end=""):
             return 0.0
 
     return pd.Case(
-        particles=pd.Lattice((0.0,) * dim, (6.0, 2.0, 2.0)[:dim], 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        particles=pd.Lattice((0.0,) * dim, (6.0, 2.0, 2.0)[:dim], 0.5), horizon=1.0075,
+        material=pd.LinearElastic(1.0, 0.0),
         scheme=pd.SubHorizons(), steps=pd.Steps(4), history={"ends": Ends()},
         conditions=[pd.Displacement(left, **dict.fromkeys("xyz"[:dim], 0.0)), pd.Displacement(right, x=0.1)],
     )
@@ -313,7 +314,7 @@ def test_a_field_of_the_case_keeps_the_name_of_a_component(tmp_path):
         return solution.x[:, 0]
 
     case = pd.Case(
-        particles=pd.Lattice((0.0,), (4.0,), 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        particles=pd.Lattice((0.0,), (4.0,), 0.5), horizon=1.0075, material=pd.LinearElastic(1.0, nu=0.0),
         conditions=[pd.Displacement(pd.region.All(), x=0.0)], fields=[pd.stress, stress_xx],
     )  # fmt: skip
     result = pd.run(case, tmp_path)

@@ -52,7 +52,7 @@ def pulled_apart(sides, cracks=(), particles=None, **given):
     return pd.Case(
         particles=particles,
         horizon=2.015 * max(sides),
-        material=pd.LinearElastic(1.0),
+        material=pd.LinearElastic(1.0, nu=0.0),
         cracks=list(cracks),
         conditions=[
             pd.Displacement(
@@ -170,7 +170,7 @@ def test_meshes_are_where_their_surface_says(source, kind, tmp_path):
     case = pd.Case(
         particles=particles,
         horizon=1.6 * max(kind),
-        material=pd.LinearElastic(1.0),
+        material=pd.LinearElastic(1.0, nu=0.0),
         conditions=[
             pd.Displacement(
                 pd.region.All(), **{"xyz"[k]: (lambda x, t, k=k: t * x @ np.roll(SLOPE, k)[:dim]) for k in range(dim)}
@@ -222,7 +222,7 @@ def test_surfaces_are_the_same_on_any_rank_count(tmp_path):
     case = tmp_path / "case.py"
     case.write_text(
         "import pdpetsc as pd\n\n\ndef case():\n    return pd.Case(\n"
-        f"        particles=pd.Mesh({str(path)!r}), horizon=2.0, material=pd.LinearElastic(1.0),\n"
+        f"        particles=pd.Mesh({str(path)!r}), horizon=2.0, material=pd.LinearElastic(1.0, 0.0),\n"
         "        conditions=[pd.Displacement(pd.region.All(), x=lambda x, t: t * x[:, 0], y=0.0)],\n"
         "        fields=[pd.displacement],\n    )\n"
     )

@@ -106,7 +106,7 @@ def test_where_nothing_is_expected_a_check_is_refused_before_the_run(made, tmp_p
     assert not (tmp_path / "out" / "summary.json").exists()
     with pytest.raises(pd.CaseError, match="expects a result 'force' and has none"):
         pd.Case(
-            particles=pd.Lattice((0.0,), (4.0,), 1.0), horizon=1.5, material=pd.Hencky(1.0), conditions=[],
+            particles=pd.Lattice((0.0,), (4.0,), 1.0), horizon=1.5, material=pd.Hencky(1.0, nu=0.0), conditions=[],
             expect={"force": pd.Expected(1.0, relative=0.1, source="nothing")},
         )  # fmt: skip
 

@@ -208,9 +208,9 @@ def test_a_file_of_particles_counts_by_its_content(tmp_path):
 
 
 def test_what_means_the_same_has_the_same_fingerprint():
-    case = pd.Case(pd.Lattice(0.0, 4.0, 1.0), 2.015, pd.Hencky(E=1.0), [])
+    case = pd.Case(pd.Lattice(0.0, 4.0, 1.0), 2.015, pd.Hencky(E=1.0, nu=0.0), [])
     same = dataclasses.replace(
-        case, scheme=pd.SubHorizons(), material=[(pd.region.All(), pd.Hencky(E=1))], steps=pd.Steps(7)
+        case, scheme=pd.SubHorizons(), material=[(pd.region.All(), pd.Hencky(E=1, nu=0.0))], steps=pd.Steps(7)
     )
     assert declared_parts(case) == declared_parts(same)
 

@@ -318,7 +318,7 @@ def test_an_unexpected_error_on_one_rank_ends_all(tmp_path):
         "def field(solution):\n    if MPI.COMM_WORLD.rank == 1:\n        raise RuntimeError('broken field')\n"
         "    return solution.volume\n\n"
         "def case():\n    return pd.Case(particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0), horizon=1.5,\n"
-        "        material=pd.Hencky(E=1.0), fields=[field],\n"
+        "        material=pd.Hencky(E=1.0, nu=0.0), fields=[field],\n"
         "        conditions=[pd.Displacement(pd.region.All(), x=0.0, y=0.0)])\n"
     )
     finished = run(case, ranks=2, output=tmp_path / "out")
@@ -343,7 +343,7 @@ def resident():
     return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
 
 lattice = pd.Lattice((0.0, 0.0), (161.0, 161.0), 1.0)
-case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(E=1.0), scheme=pd.Correspondence(), conditions=[])
+case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(1, 0), scheme=pd.Correspondence(), conditions=[])
 cloud = make_cloud(world(), case)
 assembler = Assembler(make_problem(case, cloud, find_families(cloud)))
 before = resident()

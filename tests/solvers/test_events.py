@@ -349,7 +349,7 @@ def refused(**changes):
     ("case", "message"),
     [
         (refused(material=pd.BondBased(E=1.0, kinematics="finite")), "piecewise linear"),
-        (refused(material=pd.Hencky(E=1.0), damage=None), "piecewise linear"),
+        (refused(material=pd.Hencky(E=1.0, nu=0.0), damage=None), "piecewise linear"),
         (
             refused(
                 conditions=[
@@ -362,7 +362,7 @@ def refused(**changes):
         (refused(material=pd.LinearSolid(E=1.0, nu=0.2)), "bonds without dilatation"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 0.0 * length))), "not positive"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 1.0))), "one number per bond"),
-        (refused(material=pd.LinearElastic(E=1.0)), "those of deformation gradients fail in load steps"),
+        (refused(material=pd.LinearElastic(E=1.0, nu=0.0)), "those of deformation gradients fail in load steps"),
         (refused(damage=pd.SmoothDegradation(pd.ConstantCritical(1e-3))), "SmoothDegradation is not"),
     ],
 )

@@ -38,7 +38,7 @@ def test_a_case_declares_its_tolerance_and_its_end(tmp_path):
     case = pd.Case(
         particles=pd.Lattice((0.0,), (1.0,), 0.1),
         horizon=0.1015,
-        material=pd.LinearElastic(E=2.0),
+        material=pd.LinearElastic(E=2.0, nu=0.0),
         scheme=pd.SubHorizons(),
         conditions=[pd.Displacement(pd.region.Nearest((0.05,)), x=0.0), pd.Force(pd.region.Nearest((0.95,)), x=1e-3)],
         solver=pd.DynamicRelaxation(tolerance=1e-9),

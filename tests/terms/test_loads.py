@@ -11,7 +11,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare import region
-from tests.commands import results, script_on
+from tests.commands import called, results, script_on
 
 E = 1000.0
 
@@ -28,7 +28,7 @@ def strip(particles, sizes, condition, scheme=None):
     return pd.Case(
         particles=particles,
         horizon=1.015 * max(sizes),
-        material=pd.LinearElastic(E=E),
+        material=pd.LinearElastic(E=E, nu=0.0),
         scheme=scheme or pd.Correspondence(),
         control=pd.Silling(),
         conditions=[
@@ -181,7 +181,7 @@ def test_supports_that_cut_families_are_counted(tmp_path):
         return pd.Case(
             particles=pd.Arrays(x, volume),
             horizon=1.015,
-            material=pd.LinearElastic(E=E),
+            material=pd.LinearElastic(E=E, nu=0.0),
             conditions=[
                 *(pd.Displacement(end, x=lambda x, t: 0.01 * t * x[:, 0]) for end in ends),
                 pd.Displacement(region.Nearest((0.5, 2.5)), y=0.0),
@@ -268,7 +268,7 @@ def test_schedules_of_a_cell_are_named(kind, schedule, words, tmp_path):
     case = pd.Case(
         particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0),
         horizon=1.5,
-        material=pd.LinearElastic(E=E),
+        material=pd.LinearElastic(E=E, nu=0.0),
         cell=pd.Cell((0.0, 0.0), (4.0, 4.0)),
         conditions=[pd.Displacement(region.Nearest((0.5, 0.5)), x=0.0, y=0.0), kind(xx=0.1, schedule=schedule)],
     )
@@ -283,7 +283,7 @@ def test_a_function_is_not_asked_about_no_particles(tmp_path):
         "import numpy as np\nimport pdpetsc as pd\n\ndef case():\n"
         "    only = np.vectorize(lambda y: 0.01)\n"
         "    return pd.Case(particles=pd.Lattice((0.0, 0.0), (8.0, 4.0), 1.0), horizon=1.5,\n"
-        "        material=pd.Hencky(E=1.0), fields=[],\n"
+        "        material=pd.Hencky(E=1.0, nu=0.0), fields=[],\n"
         "        conditions=[pd.Displacement(pd.region.Slab('x', high=1.0), x=0.0, y=0.0),\n"
         "            pd.Displacement(pd.region.Slab('x', low=7.0), x=lambda x, t: t * only(x[:, 1]))])\n"
     )
@@ -298,7 +298,7 @@ def corner(*conditions, unit=1.0, modulus=E, **changes):
     declared = {
         "particles": pd.Lattice((0.0, 0.0), (4.0 * unit, 4.0 * unit), unit),
         "horizon": 2.015 * unit,
-        "material": pd.LinearElastic(E=modulus),
+        "material": pd.LinearElastic(E=modulus, nu=0.0),
         "conditions": conditions,
         "fields": [pd.displacement],
     }
@@ -371,7 +371,7 @@ def test_conditions_on_a_corner_are_compared_alike_on_every_rank():
 
 @pytest.mark.parametrize("heat", [None, pd.HeatConduction()])
 def test_temperatures_that_agree_on_a_corner_act_as_one(heat, tmp_path):
-    law = pd.Thermal(pd.LinearElastic(E=E), 1e-3, conductivity=2.0)
+    law = pd.Thermal(pd.LinearElastic(E=E, nu=0.0), 1e-3, conductivity=2.0)
     held = [
         pd.Displacement(region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.Displacement(region.Nearest((0.5, 3.5)), x=0.0)
     ]  # fmt: skip
@@ -391,3 +391,49 @@ def test_temperatures_that_agree_on_a_corner_act_as_one(heat, tmp_path):
     assert one.max() == pytest.approx(40.0)
     with pytest.raises(pd.CaseError, match=r"the temperature of 1 particle a second time with another value: .* 0 at"):
         pd.prepare(heated(pd.Temperature(shared, 41.0)))
+
+
+LOADED_END = """
+import pdpetsc as pd
+
+def case(end="slab", normal=False):
+    regions = {"slab": pd.region.Slab("x", low=9.0), "tag": pd.region.Named("+x")}
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (10.0, 4.0), 0.5), horizon=1.0075, material=pd.LinearElastic(E=1000.0, nu=0.3),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=0.5), x=0.0, y=0.0),
+            pd.Traction(regions[end], y=-25.0, normal=(1.0, 0.0) if normal else (), distribution="surface"),
+        ],
+        history={"force": pd.Reaction("y")}, results=lambda h: {"force": h["force"][-1]},
+    )
+"""
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_traction_on_several_sides_of_a_box_is_refused(ranks, tmp_path):
+    """A slab at the end of a bar holds facets of its top and bottom too: the resultant was 150 for 100."""
+    path = tmp_path / "end.py"
+    path.write_text(LOADED_END)
+    refused = called(path, "-o", tmp_path / "refused", ranks=ranks, cwd=tmp_path)
+    assert refused.returncode != 0
+    assert "holds facets on 3 sides, +x, -y, +y" in " ".join(refused.stderr.split())
+    for words in (["end=tag"], ["normal=1"]):
+        done = results(path, *words, ranks=ranks, output=tmp_path / "run")
+        assert done["results"]["force"] == pytest.approx(100.0, rel=1e-9)
+
+
+def test_a_point_between_two_particles_that_are_held_is_told(tmp_path, caplog):
+    """Two neighbours that are held resist rotation: a beam on such points is clamped there."""
+    warned = {}
+    for sides, height in (("even", 4.0), ("odd", 5.0)):
+        case = pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (height, 4.0), 1.0), horizon=2.015, material=pd.LinearElastic(1.0, 0.3),
+            conditions=[
+                pd.Displacement(region.Slab("y", high=1.0), x=0.0, y=0.0),
+                pd.Displacement(region.Nearest((0.5 * height, 4.0)), y=0.1),
+            ],
+        )  # fmt: skip
+        caplog.clear()
+        pd.run(case, output=tmp_path / sides)
+        warned[sides] = "Displacement condition 2 holds 2 particles that are equally near" in caplog.text
+    assert warned == {"even": True, "odd": False}

@@ -345,7 +345,7 @@ def test_what_builds_no_term_is_refused():
     case = pd.Case(
         particles=pd.Lattice((0.0,), (1.0,), 0.1),
         horizon=0.1015,
-        material=pd.LinearElastic(1.0),
+        material=pd.LinearElastic(1.0, nu=0.0),
         conditions=[pd.Displacement(pd.region.All(), x=0.0)],
         terms=[Nothing()],
         history={"stop": Stop(2.0)},

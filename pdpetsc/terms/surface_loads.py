@@ -86,7 +86,7 @@ class SurfaceLoads(PrescribedLoads):
                     f"No facet in the region of {name} looks along its normal {np.round(normal, 6).tolist()}; let it "
                     f"point out of the body, or leave it out."
                 )
-        elif isinstance(condition, Traction):
+        elif isinstance(condition, Traction) and not any(callable(c) for c in (condition.x, condition.y, condition.z)):
             self._refuse_several_sides(mask, name)
         return np.flatnonzero(mask)
 
@@ -94,7 +94,7 @@ class SurfaceLoads(PrescribedLoads):
         """Raise on all ranks if facets are those of several sides of a box (collective).
 
         A slab at the end of a bar holds facets of its top and bottom too, and a staircase has more area than the curve
-        that it stands for. On each facet the traction would be the same.
+        that it stands for. On each facet the traction would be the same. A function of the place can tell sides apart.
         """
         area, comm = self._surface.area[mask], self.body.cloud.comm
         along = area / np.linalg.norm(area, axis=1)[:, None]

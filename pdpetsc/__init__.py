@@ -63,6 +63,7 @@ from pdpetsc.declare.solvers import (
     PathFollowing,
 )
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.declare.supports import Clamp, Roller
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.text_file import TextFile
@@ -154,6 +155,7 @@ __all__ = [
     "CellStrain",
     "CellStress",
     "CheckError",
+    "Clamp",
     "Comparison",
     "ConstantCritical",
     "ControlEnergy",
@@ -225,6 +227,7 @@ __all__ = [
     "Refinement",
     "RelativeError",
     "Result",
+    "Roller",
     "RunError",
     "Segment",
     "SmoothDegradation",

@@ -137,7 +137,7 @@ class Case(Declared):
     particles: Particles
     horizon: AnyHorizon
     material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
-    conditions: Sequence[Condition | ThermalCondition]
+    conditions: Sequence[Condition]
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
     weights: Weights | None = None

@@ -134,7 +134,7 @@ def case(shear=0.0, scheme="sub_horizons", steps=10, stop=2.0):
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (12.0, 3.0), 1.0),
         horizon=1.515,
-        material=Wearing(E=10.0),
+        material=Wearing(E=10.0, nu=0.0),
         scheme=NearestCount() if scheme == "nearest" else pd.SCHEMES[scheme],
         control=NearestHeld() if scheme == "nearest" else None,
         conditions=[

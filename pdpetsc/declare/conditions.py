@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.region import Region
+from pdpetsc.declare.region import Region, named_region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
@@ -23,7 +23,17 @@ Value: TypeAlias = Finite | Callable[[Float, float], Float]
 
 @dataclass(frozen=True)
 class Condition(Declared, ABC):
-    """A prescribed displacement, a load, or the mean strain or stress of a cell; derive from it for another one."""
+    """A prescribed displacement, a load, or the mean strain or stress of a cell; derive from it for another one.
+
+    A condition that has a ``region`` takes a name in its place: that of a side, ``"-x"`` to ``"+z"``
+    (``pd.region.Face``), or that of a set.
+    """
+
+    def __post_init__(self) -> None:
+        region = getattr(self, "region", None)
+        if isinstance(region, str):
+            object.__setattr__(self, "region", named_region(region))
+        super().__post_init__()
 
     @abstractmethod
     def put(self, onto: Any, name: str) -> None:

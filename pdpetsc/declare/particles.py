@@ -182,7 +182,7 @@ class Lattice(Particles):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = self._box
+        low, high = self.box
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
@@ -198,10 +198,11 @@ class Lattice(Particles):
     @property
     def dim(self) -> int:
         """Return the number of coordinates."""
-        return len(self._box[0])
+        return len(self.box[0])
 
     @property
-    def _box(self) -> tuple[Float, Float]:
+    def box(self) -> tuple[Float, Float]:
+        """Return the corners of the real body (dim,) [length]."""
         return corners("Lattice", self.low, self.high)
 
     @property
@@ -211,7 +212,7 @@ class Lattice(Particles):
 
     def estimate(self) -> int:
         """Return the number of cells, cut out or not."""
-        low, high = self._box
+        low, high = self.box
         real = ((high - low) / self.spacing).tolist()
         return math.prod(
             round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
@@ -219,7 +220,7 @@ class Lattice(Particles):
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
-        low, high = self._box
+        low, high = self.box
         real = np.round((high - low) / self.spacing).astype(np.int64)
         before = np.array([self._layers("-" + axis) for axis in "xyz"[: self.dim]])
         after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
@@ -251,7 +252,7 @@ class Lattice(Particles):
 
     def _has(self, x: Float) -> Mask:
         """Return which places (n, dim) are centres of cells with a particle."""
-        low, high = self._box
+        low, high = self.box
         first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         inside = np.all((x > first) & (x < last), axis=1)
@@ -272,7 +273,7 @@ class Lattice(Particles):
     def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
         """Return the named sets of cells at ``x``, of which some are ``real``."""
         sets = {"real": real, "fictitious": ~real}
-        low, high = self._box
+        low, high = self.box
         for side in self.fictitious:
             axis = "xyz".index(side[1])
             sets[f"fictitious {side}"] = x[:, axis] < low[axis] if side[0] == "-" else x[:, axis] > high[axis]
@@ -386,7 +387,7 @@ class LatticeNodes(Particles):
 
     @property
     def _counts(self) -> list[int]:
-        low, high = self._cells._box
+        low, high = self._cells.box
         return [round(n) + 1 for n in ((high - low) / self.spacing).tolist()]
 
     def _corners(self, part: int, parts: int) -> tuple[Float, Float, Mask]:
@@ -397,7 +398,7 @@ class LatticeNodes(Particles):
         cells, counts = self._cells, self._counts
         total = math.prod(counts)
         index = np.arange(part * total // parts, (part + 1) * total // parts)
-        low, _ = cells._box
+        low, _ = cells.box
         node = np.stack(np.unravel_index(index, counts), axis=1)
         offsets = np.array(list(itertools.product((-1.0, 1.0), repeat=cells.dim)))
         # The same numbers from every corner, so that all agree on a cell at the edge of a region.

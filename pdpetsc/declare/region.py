@@ -15,6 +15,8 @@ from pdpetsc.errors import CaseError
 
 # Particles whose distance exceeds the smallest one by less than this share of it are equally near.
 EQUALLY_NEAR = 1e-6
+# What lies this near to the outermost side is on it, as a share of the extent of the body.
+ON_FACE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,14 @@ class View:
         Named sets.
     minimum : callable
         Smallest of a number over all parts of the cloud.
+    normal : (n, dim) float64 or None
+        Outward normals of any length, if facets are asked about.
     """
 
     x: Float
     sets: Mapping[str, Mask]
     minimum: Callable[[float], float]
+    normal: Float | None = None
 
 
 class Region(Declared, ABC):
@@ -230,6 +235,58 @@ class Where(Region):
                 f"The predicate of Where must return {(len(view.x),)} bool, not {answer.shape} {answer.dtype}."
             )
         return answer
+
+
+@dataclass(frozen=True)
+class Face(Region):
+    """The side of a body that is furthest along an axis: its particles there, or the facets of its surface there.
+
+    Conditions take the name of a side in its place. Particles of a ``Lattice`` are in the middle of cells, so that its
+    outermost layer is half a cell behind the side; those of ``LatticeNodes`` are on it.
+
+    Parameters
+    ----------
+    side : {"-x", "+x", "-y", "+y", "-z", "+z"}
+        Which.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pulled = pd.Traction("+x", x=5.0)
+    >>> pulled.region
+    Face(side='+x')
+    """
+
+    side: Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+
+    @property
+    def axis(self) -> int:
+        """Return the number of its axis."""
+        return "xyz".index(self.side[1])
+
+    def mask(self, view: View) -> Mask:
+        """Return which are as far along the axis as any (collective)."""
+        sign = 1.0 if self.side[0] == "+" else -1.0
+        along = sign * view.x[:, self.axis]
+        furthest = -view.minimum(float((-along).min(initial=np.inf)))
+        nearest = view.minimum(float(along.min(initial=np.inf)))
+        found = np.asarray(along >= furthest - ON_FACE * (furthest - nearest))
+        if view.normal is not None:
+            found &= sign * view.normal[:, self.axis] >= (1.0 - ON_FACE) * np.linalg.norm(view.normal, axis=1)
+        return found
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the body has no such axis."""
+        if self.axis >= dim:
+            raise CaseError(f"A body of {dim} dimensions has no side {self.side!r}.")
+
+
+SIDES: tuple[str, ...] = ("-x", "+x", "-y", "+y", "-z", "+z")
+
+
+def named_region(name: str) -> Region:
+    """Return the side of a body with this name, or the set."""
+    return Face(name) if name in SIDES else Named(name)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.conditions import evaluated, values_of
+from pdpetsc.declare.conditions import Condition, evaluated, values_of
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, NonNegative, Positive, numbers_from, real_numbers, shown
@@ -22,7 +22,7 @@ ThermalValue: TypeAlias = float | Callable[[Float, float], Float] | NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Temperature(Declared):
+class Temperature(Condition):
     """Prescribed temperature of the particles of a region.
 
     A number or an array is reached from the temperature at the start, ``T = T_0 + s(t) (value - T_0)``, with a schedule
@@ -101,7 +101,7 @@ class Temperature(Declared):
 
 
 @dataclass(frozen=True)
-class Eigenstrain(Declared):
+class Eigenstrain(Condition):
     """Strain without stress of a region: what its material would have if nothing held it.
 
     At finite strain the stress-free deformation is ``I + s(t) eps``, together with the thermal strain; the linear
@@ -166,7 +166,7 @@ class Eigenstrain(Declared):
 
 
 @dataclass(frozen=True)
-class _Heat(Declared):
+class _Heat(Condition):
     """Heat that enters through or in a region."""
 
     region: Region
@@ -236,7 +236,7 @@ class HeatSource(_Heat):
 
 
 @dataclass(frozen=True)
-class Convection(Declared):
+class Convection(Condition):
     """Heat exchange of the surface with surroundings, ``q . n = h (T - T_s)``.
 
     Parameters

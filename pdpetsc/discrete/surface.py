@@ -149,7 +149,7 @@ class Surface:
         Collective.
         """
         sets = {name: flags[self.owner] for name, flags in cloud.sets.items()} | dict(self.tags)
-        view = View(self.x, sets, minimum=lambda value: smallest(cloud.comm, value))
+        view = View(self.x, sets, minimum=lambda value: smallest(cloud.comm, value), normal=self.area)
         with agreed(cloud.comm):
             mask = np.asarray(region.mask(view))
         if int(total(cloud.comm, np.count_nonzero(mask))) == 0:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case, check_declared
+from pdpetsc.declare.supports import beyond_sides
 from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
@@ -191,6 +192,8 @@ def prepare(
     refuse_differing(ranks, _of_all_ranks(case) | {"options": {**case.options, **(options or {})}})
     chosen = Options({**case.options, **(options or {})})
     with phases.timed("particles"):
+        with agreed(ranks):
+            case = _with_supports(case)
         chunk = make_chunk(ranks, case)
         case = with_suited_scheme(ranks, case, chunk)
         cloud = make_cloud(ranks, case, chunk)
@@ -207,6 +210,14 @@ def prepare(
         problem = make_problem(weighed, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.resisted)
     return Prepared(case, problem, chosen, phases)
+
+
+def _with_supports(case: Case) -> Case:
+    """Return the case with what its supports need beyond the sides of a lattice."""
+    particles, planes = beyond_sides(case.particles, case.conditions, case.horizon)
+    if particles is case.particles and not planes:
+        return case
+    return replace(case, particles=particles, symmetry=[*case.symmetry, *planes])
 
 
 def _of_all_ranks(case: Case) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from pdpetsc.declare.conditions import (
     condition_name,
 )
 from pdpetsc.declare.particles import Particles
-from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature, ThermalCondition
+from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
@@ -55,6 +55,7 @@ class Applied:
         self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,)
     ) -> None:  # fmt: skip
         self.body = body
+        self.particles = particles
         self.times = times
         self.cell = None if body.cloud.images is None else CellRows(body.cloud, particles.thickness)
         self.supports = Supports(body, self.cell)
@@ -154,7 +155,7 @@ class Applied:
 
 
 def apply(
-    body: Body, material_term: MaterialTerm, conditions: Sequence[Condition | ThermalCondition], particles: Particles,
+    body: Body, material_term: MaterialTerm, conditions: Sequence[Condition], particles: Particles,
     times: Sequence[float] = (1.0,),
 ) -> Applied:  # fmt: skip
     """Return supports, loads and what else conditions prescribe (collective).

@@ -10,6 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.conditions import SurfacePressure, Traction
+from pdpetsc.declare.region import Named
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
@@ -86,15 +87,21 @@ class SurfaceLoads(PrescribedLoads):
                     f"No facet in the region of {name} looks along its normal {np.round(normal, 6).tolist()}; let it "
                     f"point out of the body, or leave it out."
                 )
-        elif isinstance(condition, Traction) and not any(callable(c) for c in (condition.x, condition.y, condition.z)):
+        elif isinstance(condition, Traction) and not self._tells_sides_apart(condition):
             self._refuse_several_sides(mask, name)
         return np.flatnonzero(mask)
+
+    def _tells_sides_apart(self, condition: Traction) -> bool:
+        """Return whether a traction is meant for several sides: by a function of the place, or by a tag of facets."""
+        region = condition.region
+        tagged = isinstance(region, Named) and region.name in self._surface.tags
+        return tagged or any(callable(value) for value in (condition.x, condition.y, condition.z))
 
     def _refuse_several_sides(self, mask: Mask, name: str) -> None:
         """Raise on all ranks if facets are those of several sides of a box (collective).
 
         A slab at the end of a bar holds facets of its top and bottom too, and a staircase has more area than the curve
-        that it stands for. On each facet the traction would be the same. A function of the place can tell sides apart.
+        that it stands for. On each facet the traction would be the same.
         """
         area, comm = self._surface.area[mask], self.body.cloud.comm
         along = area / np.linalg.norm(area, axis=1)[:, None]
@@ -104,8 +111,8 @@ class SurfaceLoads(PrescribedLoads):
         if int(of_sides.sum()) == int(every) and np.count_nonzero(of_sides) > 1:
             names = [f"{'-+'[sign]}{'xyz'[axis]}" for axis, sign in np.argwhere(of_sides.T > 0)]
             raise CaseError(
-                f"The region of {name} holds facets on {len(names)} sides, {', '.join(names)}, and a traction acts on "
-                f"each; name one with its tag, as region.Named({names[-1]!r}) of a lattice, or with normal=."
+                f"The region of {name} holds facets on {len(names)} sides of the body, and a traction acts on "
+                f"each: write one of them, {', '.join(f'{side!r}' for side in names)}, as its region."
             )
 
     def _add(self, applied: _OnFacets, name: str) -> None:

@@ -27,7 +27,7 @@ from tests.scenes import (
 from tests.toys import Wearing
 
 CRITICAL = pd.ConstantCritical(0.02)
-WITH_HISTORY = {name: m for name, m in MATERIALS.items() if m.has_history} | {"wearing": Wearing(E=10.0)}
+WITH_HISTORY = {name: m for name, m in MATERIALS.items() if m.has_history} | {"wearing": Wearing(E=10.0, nu=0.0)}
 EVERY_SCHEME = SCHEMES | {"smoothed_displacement": pd.SmoothedDisplacement()}
 
 
@@ -222,7 +222,7 @@ def test_a_body_that_flows_breaks_alike_on_any_ranks_and_after_a_restart(scheme,
 def test_every_scheme_with_every_control_and_material(scheme, rng):
     """Nothing is refused, and every tangent is exact with softening and broken bonds at a state that is kept."""
     horizon = 3.3 if scheme == "smoothed_displacement" else 2.015
-    for control, material in itertools.product(ALL_CONTROLS.values(), [*MATERIALS.values(), Wearing(E=10.0)]):
+    for control, material in itertools.product(ALL_CONTROLS.values(), [*MATERIALS.values(), Wearing(E=10.0, nu=0.0)]):
         model = damaged_body(2, LAWS["linear"](CRITICAL), EVERY_SCHEME[scheme], control, material, rng, horizon)
         u = pulled(model, rng, 0.022)
         model.commit(u)

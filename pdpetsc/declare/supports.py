@@ -1,0 +1,163 @@
+"""Supports on a side of a body: how each holds it depends on where particles are."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from pdpetsc.declare.conditions import Condition, Displacement, condition_name
+from pdpetsc.declare.particles import WHOLE_CELLS, Lattice, Particles
+from pdpetsc.declare.region import Face, Named, Region
+from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class _Support(Condition):
+    region: Region
+
+    @abstractmethod
+    def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
+        """Return the lattice with what holds its side beyond it, and mirror planes."""
+
+    def _on(self, particles: Particles) -> Region:
+        """Return which particles are on the side, where particles lie on the surface.
+
+        Raises
+        ------
+        CaseError
+            They lie behind it.
+        """
+        if not particles.on_surface:
+            kind = type(particles).__name__
+            raise CaseError(
+                f"{type(self).__name__} holds the side itself, and particles of {kind} lie behind it: take "
+                f"LatticeNodes or MeshNodes, or hold a region of them with Displacement."
+            )
+        return self.region
+
+    def _side(self) -> Face:
+        if not isinstance(self.region, Face):
+            raise CaseError(
+                f"{type(self).__name__} of a Lattice takes the name of a side, such as '-x', not {self.region}; take "
+                f"LatticeNodes to hold another region of its surface."
+            )
+        return self.region
+
+
+@dataclass(frozen=True)
+class Clamp(_Support):
+    """A side that does not move.
+
+    Particles on the surface (``LatticeNodes``, ``MeshNodes``) are held themselves: of second order with conforming
+    weights. Those of a ``Lattice`` lie half a cell behind the side: as many layers of fictitious particles as the
+    horizon reaches are added beyond it, and held. Other particles are refused.
+
+    Parameters
+    ----------
+    region : Region or str
+        A side, ``"-x"`` to ``"+z"``, or the name of a set or a region of particles on the surface.
+
+    Raises
+    ------
+    CaseError
+        In a case: the particles lie behind the side, and it is not one of a ``Lattice``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> conditions = [pd.Clamp("-x"), pd.Traction("+x", y=-2.0)]
+    """
+
+    def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
+        """Return the lattice with layers as deep as the horizon, unless it has layers there."""
+        side = self._side().side
+        if side in lattice.fictitious:
+            return lattice, []
+        depth = max(int(horizon / lattice.spacing * (1.0 + WHOLE_CELLS)), 1) * lattice.spacing
+        return replace(lattice, fictitious={**lattice.fictitious, side: depth}), []
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hold all components."""
+        if isinstance(onto.particles, Lattice):
+            region: Region = Named(f"fictitious {self._side().side}")
+        else:
+            region = self._on(onto.particles)
+        dim = onto.body.dim
+        held = Displacement(region, 0.0, 0.0 if dim > 1 else None, 0.0 if dim > 2 else None)
+        onto.displacement(held, name)
+
+
+@dataclass(frozen=True)
+class Roller(_Support):
+    """A side that slides freely in its plane and does not leave it.
+
+    Particles on the surface (``LatticeNodes``, ``MeshNodes``) have no displacement across it. The side of a ``Lattice``
+    is a mirror plane, ``Symmetry``, which holds it to round-off; loads, reactions and energies are those of the body.
+    Other particles are refused.
+
+    Parameters
+    ----------
+    region : Region or str
+        As for ``Clamp``.
+    axis : {"x", "y", "z"}, optional
+        The normal of a region that is not the side of a box.
+
+    Raises
+    ------
+    CaseError
+        In a case: as for ``Clamp``, or the normal of a set or region is not given.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> quarter = [pd.Roller("-x"), pd.Roller("-y"), pd.Traction("+x", x=2.0)]
+    """
+
+    axis: Literal["x", "y", "z"] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.region, Face) == (self.axis is not None):
+            raise CaseError("A Roller takes the axis of its normal with a set or region, and none with a side.")
+
+    def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
+        """Return the lattice, and a mirror plane along the side."""
+        face = self._side()
+        low, high = lattice.box
+        at = (low if face.side[0] == "-" else high)[face.axis]
+        return lattice, [Symmetry("xyz"[face.axis], float(at))]  # type: ignore[arg-type]
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hold the component across the side; a mirror plane does so by itself."""
+        if isinstance(onto.particles, Lattice):
+            return
+        across = self.axis if self.axis is not None else self._side().side[1]
+        x, y, z = (0.0 if axis == across else None for axis in "xyz")
+        onto.displacement(Displacement(self._on(onto.particles), x, y, z), name)
+
+
+def beyond_sides(
+    particles: Particles, conditions: Sequence[Condition], horizon: object
+) -> tuple[Particles, list[Symmetry]]:
+    """Return the particles with the layers that supports need beyond sides, and the mirror planes that they are.
+
+    Raises
+    ------
+    CaseError
+        A support cannot hold its side.
+    """
+    planes: list[Symmetry] = []
+    for number, condition in enumerate(conditions, 1):
+        if isinstance(condition, _Support) and isinstance(particles, Lattice):
+            if not isinstance(horizon, float | int):
+                raise CaseError(
+                    f"{condition_name(condition, number)} needs one horizon for the depth of the layers that it adds; "
+                    f"give the Lattice fictitious layers."
+                )
+            condition.region.check(particles.dim)
+            particles, more = condition.beyond(particles, float(horizon))
+            planes += more
+    return particles, planes

@@ -439,3 +439,56 @@ def test_a_point_between_two_particles_that_are_held_is_told(tmp_path, caplog):
         pd.run(case, output=tmp_path / sides)
         warned[sides] = "Displacement condition 2 holds 2 particles that are equally near" in caplog.text
     assert warned == {"even": True, "odd": False}
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_rollers_on_nodes_leave_a_uniform_stress(ranks, tmp_path):
+    text = """
+import pdpetsc as pd
+
+def case():
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (4.0, 2.0), 0.5), horizon=1.0075,
+        material=pd.LinearElastic(E=1000.0, nu=0.3, plane="stress"),
+        conditions=[pd.Roller("-x"), pd.Roller("-y"), pd.Traction("+x", x=1.0)],
+        history={"x": pd.Mean(pd.displacement, "x", pd.region.Face("+x")),
+                 "y": pd.Mean(pd.displacement, "y", pd.region.Face("+y"))},
+        results=lambda h: {"x": h["x"][-1], "y": h["y"][-1]},
+    )
+"""
+    path = tmp_path / "rollers.py"
+    path.write_text(text)
+    found = results(path, ranks=ranks, output=tmp_path / "run")["results"]
+    assert found["x"] == pytest.approx(4.0e-3, rel=1e-9)
+    assert found["y"] == pytest.approx(-0.3 * 2.0e-3, rel=1e-9)
+
+
+def clamped(particles, support, **given):
+    """Return a body with a support on one side."""
+    return pd.Case(
+        particles=particles, horizon=1.0, material=pd.LinearElastic(1000.0, 0.3),
+        conditions=[support, pd.Traction("+x", x=1.0)], **given,
+    )  # fmt: skip
+
+
+def test_a_lattice_has_layers_and_mirror_planes_beyond_its_supports():
+    lattice = pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5)
+    held = pd.prepare(clamped(lattice, pd.Clamp("-x")))
+    assert held.case.particles.fictitious == {"-x": 1.0}
+    x = held.cloud.x[: held.cloud.n_owned]
+    fixed = held.problem.supports.fixed.reshape(-1, 2).all(axis=1)
+    np.testing.assert_array_equal(fixed, x[:, 0] < 0.0)
+    sliding = pd.prepare(clamped(lattice, pd.Roller("+y"), symmetry=[pd.Symmetry("x")])).case
+    assert sliding.symmetry == [pd.Symmetry("x"), pd.Symmetry("y", 2.0)]
+
+
+@pytest.mark.parametrize("support", [pd.Clamp("-x"), pd.Roller("-x")])
+def test_a_side_that_no_particle_is_on_is_refused(support):
+    x, volume = grid((8, 4), (0.5, 0.5))
+    cloud = pd.Arrays(x, np.full(len(x), volume))
+    with pytest.raises(pd.CaseError, match="lie behind it"):
+        pd.prepare(clamped(cloud, support))
+    with pytest.raises(pd.CaseError, match="no side '-z'"):
+        pd.prepare(clamped(pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5), pd.Clamp("-z")))
+    with pytest.raises(pd.CaseError, match="takes the axis"):
+        pd.Roller("a set")

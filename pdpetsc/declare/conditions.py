@@ -44,7 +44,7 @@ class Condition(Declared, ABC):
 
 
 def condition_name(condition: object, number: int) -> str:
-    """Return what messages call a condition of a case, by its number from 1."""
+    """Return the name of a condition in messages, such as ``Traction condition 2``; numbers start at 1."""
     return f"{type(condition).__name__} condition {number}"
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.cell import corners
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.declare.region import Region, View
+from pdpetsc.declare.region import SIDES, Region, View
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declared import Declared, Positive, real_numbers, shown
 from pdpetsc.errors import CaseError
@@ -188,7 +188,7 @@ class Lattice(Particles):
                 raise CaseError(
                     f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long, not a whole number."
                 )
-        sides = [sign + axis for axis in "xyz"[: len(low)] for sign in "-+"]
+        sides = list(SIDES[: 2 * len(low)])
         for side, depth in self.fictitious.items():
             if side not in sides:
                 raise CaseError(f"A Lattice of {len(low)} dimensions has the sides {sides}, not {side!r}.")

@@ -5,13 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declared import Declared, called
 from pdpetsc.errors import CaseError
+
+# The sides of a box; those of a body of d dimensions are the first 2 d.
+Side: TypeAlias = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+SIDES: tuple[Side, ...] = get_args(Side)
 
 # Particles whose distance exceeds the smallest one by less than this share of it are equally near.
 EQUALLY_NEAR = 1e-6
@@ -157,7 +161,7 @@ class Slab(Region):
         return np.asarray((s >= self.low) & (s <= self.high))
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the body has no such axis."""
+        """Raise CaseError if the body has no such axis."""
         if self.axis not in "xyz"[:dim]:
             raise CaseError(f"Slab axis {self.axis!r} is not one of {list('xyz'[:dim])}.")
 
@@ -257,7 +261,7 @@ class Face(Region):
     Face(side='+x')
     """
 
-    side: Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+    side: Side
 
     @property
     def axis(self) -> int:
@@ -265,7 +269,7 @@ class Face(Region):
         return "xyz".index(self.side[1])
 
     def mask(self, view: View) -> Mask:
-        """Return which are as far along the axis as any (collective)."""
+        """Return the outermost particles, or the outermost facets that look along the axis (collective)."""
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
         furthest = -view.minimum(float((-along).min(initial=np.inf)))
@@ -276,17 +280,14 @@ class Face(Region):
         return found
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the body has no such axis."""
+        """Raise CaseError if the body has no such axis."""
         if self.axis >= dim:
             raise CaseError(f"A body of {dim} dimensions has no side {self.side!r}.")
 
 
-SIDES: tuple[str, ...] = ("-x", "+x", "-y", "+y", "-z", "+z")
-
-
 def named_region(name: str) -> Region:
-    """Return the side of a body with this name, or the set."""
-    return Face(name) if name in SIDES else Named(name)  # type: ignore[arg-type]
+    """Return the side or the set with this name."""
+    return Face(name) if name in SIDES else Named(name)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Supports on a side of a body: how each holds it depends on where particles are."""
+"""Supports on a side of a body, by particles on the side or beyond it."""
 
 from __future__ import annotations
 
@@ -20,16 +20,10 @@ class _Support(Condition):
 
     @abstractmethod
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
-        """Return the lattice with what holds its side beyond it, and mirror planes."""
+        """Return the lattice with the layers that hold its side, and the mirror planes."""
 
     def _on(self, particles: Particles) -> Region:
-        """Return which particles are on the side, where particles lie on the surface.
-
-        Raises
-        ------
-        CaseError
-            They lie behind it.
-        """
+        """Return the region of particles on the surface; raise CaseError if the particles lie behind it."""
         if not particles.on_surface:
             kind = type(particles).__name__
             raise CaseError(

@@ -154,7 +154,7 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
 
 
 def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
-    """Return displacements at a point that hold more particles than one, and how many."""
+    """Return the names of displacements at a point that hold several particles, and the counts."""
     counts = {name: count for name, _, count in held}
     found = []
     for number, condition in enumerate(case.conditions, 1):

@@ -213,10 +213,8 @@ def prepare(
 
 
 def _with_supports(case: Case) -> Case:
-    """Return the case with what its supports need beyond the sides of a lattice."""
+    """Return the case with the layers and mirror planes that its supports add to a lattice."""
     particles, planes = beyond_sides(case.particles, case.conditions, case.horizon)
-    if particles is case.particles and not planes:
-        return case
     return replace(case, particles=particles, symmetry=[*case.symmetry, *planes])
 
 

@@ -19,7 +19,7 @@ from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
 # Facets look in the direction of a given normal where the cosine between the two is above this.
 LOOKS = np.cos(np.pi / 4.0)
-# A facet is on a side of a box where the cosine between its normal and an axis is above this.
+# A facet belongs to a side of a box if the cosine between its normal and an axis is above this.
 ON_SIDE = 1.0 - 1e-9
 
 # Forces of some facets (n, dim) [force] at their centroids (n, dim), with their vector areas (n, dim), at a step time.
@@ -92,16 +92,16 @@ class SurfaceLoads(PrescribedLoads):
         return np.flatnonzero(mask)
 
     def _tells_sides_apart(self, condition: Traction) -> bool:
-        """Return whether a traction is meant for several sides: by a function of the place, or by a tag of facets."""
+        """Return True if a traction has a function as component, or a tag of facets as region."""
         region = condition.region
         tagged = isinstance(region, Named) and region.name in self._surface.tags
         return tagged or any(callable(value) for value in (condition.x, condition.y, condition.z))
 
     def _refuse_several_sides(self, mask: Mask, name: str) -> None:
-        """Raise on all ranks if facets are those of several sides of a box (collective).
+        """Raise on all ranks if the facets belong to several sides of a box (collective).
 
-        A slab at the end of a bar holds facets of its top and bottom too, and a staircase has more area than the curve
-        that it stands for. On each facet the traction would be the same.
+        A slab at the end of a bar contains facets of its top and bottom too. A staircase has more area than the curve
+        that it approximates. The resultant would be too large.
         """
         area, comm = self._surface.area[mask], self.body.cloud.comm
         along = area / np.linalg.norm(area, axis=1)[:, None]

@@ -63,7 +63,7 @@ from pdpetsc.declare.solvers import (
     PathFollowing,
 )
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.declare.supports import Clamp, Roller
+from pdpetsc.declare.supports import Clamp, PointSupport, Roller
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.text_file import TextFile
@@ -214,6 +214,7 @@ __all__ = [
     "PlasticStrain",
     "PointBlocks",
     "PointDamage",
+    "PointSupport",
     "PolygonCrack",
     "Polyline",
     "Prepared",

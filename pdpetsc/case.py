@@ -15,7 +15,7 @@ from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition, condition_name
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.expected import Expected
-from pdpetsc.declare.horizon import AnyHorizon, check_horizon
+from pdpetsc.declare.horizon import AnyHorizon, Horizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import All, Region
@@ -41,6 +41,8 @@ AnyMaterial: TypeAlias = Material | BondMaterial | Graded | Thermal
 # What stands between the columns of the history, and in quotes.
 _NOT_IN_NAMES = set(",;\"'")
 # What a table or file of a run has anyway.
+# Default horizons over the spacing: of bodies that crack and of bonds, and of irregular clouds.
+OF_CRACKS, OF_IRREGULAR = 3.015, 2.015
 _COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
@@ -77,9 +79,11 @@ class Case(Declared):
     ----------
     particles : Particles
         Where the particles are.
-    horizon : float, Horizon, callable or (n,) array
+    horizon : float, Horizon, callable or (n,) array, optional
         Radius of the families [length]: one for all, ``Horizon(ratio)`` local spacings, a function of positions
-        (n, dim) that returns lengths (n,), or one length per particle in the order of creation.
+        (n, dim) that returns lengths (n,), or one length per particle in the order of creation. By default 3.015
+        spacings for materials of bonds and with damage, otherwise 2.015 on irregular clouds and 1.5 on lattices, with
+        ``BondAssociated`` 2.015, with ``HigherOrder`` 3.015.
     material : Material, BondMaterial, Graded, Thermal, or sequence of (Region, one of these)
         One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
     conditions : sequence of Condition
@@ -135,7 +139,7 @@ class Case(Declared):
     """
 
     particles: Particles
-    horizon: AnyHorizon
+    horizon: AnyHorizon | None = field(default=None, kw_only=True)
     material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
     conditions: Sequence[Condition]
     scheme: Scheme | None = None
@@ -200,6 +204,25 @@ class Case(Declared):
         return SubHorizons() if self.scheme is None else self.scheme
 
     @property
+    def chosen_horizon(self) -> AnyHorizon:
+        """Return the horizon that was given, or the one that suits the particles and what they do.
+
+        Raises
+        ------
+        CaseError
+            The source of the particles is missing or malformed.
+        """
+        if self.horizon is not None:
+            return self.horizon
+        if self.of_bonds or self.damage is not None:
+            ratio = OF_CRACKS
+        else:
+            ratio = max(self.gradients.horizon_ratio, OF_IRREGULAR if self.particles.irregular else 0.0)
+        # One spacing for all makes one horizon for all.
+        spacing = getattr(self.particles, "spacing", None)
+        return Horizon(ratio) if spacing is None else ratio * spacing
+
+    @property
     def chosen_weights(self) -> Weights:
         """Return the weights that were given, or those that suit the particles.
 
@@ -233,7 +256,8 @@ class Case(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_horizon(self.horizon, getattr(self.particles, "spacing", 0.0))
+        if self.horizon is not None:
+            check_horizon(self.horizon, getattr(self.particles, "spacing", 0.0))
         if not self.materials:
             raise CaseError("Case takes at least one material.")
         self._check_symmetry()
@@ -339,6 +363,10 @@ class Case(Declared):
             raise CaseError(
                 "Cracks that close (closes=True) take bond-based materials: a broken bond has left its gradient, which "
                 "does not tell whether its ends touch; take BondBased, or leave closes out."
+            )
+        if any(getattr(law, "strength", None) is not None for law in self.damage_laws) and not self.of_bonds:
+            raise CaseError(
+                "LinearSoftening has a strength for bond-based materials only; use PointDamage(curve, Gc=, strength=)."
             )
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):

@@ -217,6 +217,33 @@ class FractureEnergy(CriticalStretch):
         )  # fmt: skip
         return ConstantCritical(most) if least == most else CriticalOfBonds(stretch)
 
+    def at_strength(self, bonds: DamageableBonds, strength: float) -> tuple[ConstantCritical, float]:
+        """Return the critical stretch of a strength, and the last one over it, if forces fall linearly (collective).
+
+        A plane of bonds that all have their largest force ``k s_c |xi|`` carries the strength. Softening to r times the
+        critical stretch takes r times the energy of bonds that snap there.
+
+        Raises
+        ------
+        CaseError
+            Bonds that snap take the fracture energy at a lower stress, or their critical stretches differ.
+        """
+        snapping = self.resolve(bonds, lambda degree: 1.0)
+        if not isinstance(snapping, ConstantCritical):
+            raise CaseError(
+                "A strength of bonds needs one material and one horizon; use ConstantCritical and a ratio instead."
+            )
+        traction = float(total(bonds.cloud.comm, plane_weights(bonds, 2) @ bonds.k))
+        critical = strength / traction
+        ratio = (snapping.value / critical) ** 2
+        if ratio <= 1.0:
+            horizon = bonds.cloud.horizon
+            raise CaseError(
+                f"The strength {strength:g} is too high for the fracture energy {self.Gc:g} and the horizon "
+                f"{horizon:g}; use a horizon below {ratio * horizon:.3g}."
+            )
+        return ConstantCritical(critical), ratio
+
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""
         raise CaseError("A fracture energy gives a critical stretch in a case only, where the bonds are known.")

@@ -16,12 +16,13 @@ from pdpetsc.discrete.interior import interior
 from pdpetsc.errors import CaseError
 
 
-def plane_weights(bonds: DamageableBonds) -> Float:
+def plane_weights(bonds: DamageableBonds, power: int = 1) -> Float:
     """Return the weights of bonds in the energy that breaking all bonds across a unit area takes (n_bonds,).
 
     ``G = sum_i sum_j a_ij w_ij`` over all ranks with the energy ``w_ij`` of a bond from one end and the weight
     ``a_ij = |xi_a| / sum_i V_i`` of the particles inside along an axis ``a``: the mean over all planes normal to the
-    axis. Weights are means over the axes, in a thin body over its long ones (``Interior``) [1 / length^2].
+    axis. Weights are means over the axes, in a thin body over its long ones (``Interior``) [1 / length^2]. With the
+    power 2 they are those of ``|xi_a|^2``: what the stiffnesses of bonds add to the traction at a stretch of 1.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def plane_weights(bonds: DamageableBonds) -> Float:
     here = inside.along[:, inside.axes]
     volume = total(cloud.comm, cloud.volume[:n] @ here)
     distance = np.abs(families.bonds(cloud.x)[:, inside.axes])
-    return np.asarray((here[families.centres] * distance / volume).mean(axis=1))
+    return np.asarray((here[families.centres] * distance**power / volume).mean(axis=1))
 
 
 class _EitherWay(LocalDrivingVariable):

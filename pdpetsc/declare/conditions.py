@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.region import Region, named_region
+from pdpetsc.declare.region import Region, accept_region_name
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
@@ -30,9 +30,7 @@ class Condition(Declared, ABC):
     """
 
     def __post_init__(self) -> None:
-        region = getattr(self, "region", None)
-        if isinstance(region, str):
-            object.__setattr__(self, "region", named_region(region))
+        accept_region_name(self)
         super().__post_init__()
 
     @abstractmethod
@@ -49,7 +47,9 @@ def condition_name(condition: object, number: int) -> str:
 
 
 @dataclass(frozen=True)
-class _Vector(Condition):
+class VectorCondition(Condition):
+    """A condition with components on a region; derive from it for another one."""
+
     region: Region
     x: Value | None = None
     y: Value | None = None
@@ -126,7 +126,7 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Displacement(_Vector):
+class Displacement(VectorCondition):
     """Prescribed displacement of a region; components that are not given are free.
 
     Parameters
@@ -151,7 +151,7 @@ class Displacement(_Vector):
 
 
 @dataclass(frozen=True)
-class Force(_Vector):
+class Force(VectorCondition):
     """Total dead force on a region, shared by its particles in proportion to their volumes.
 
     Parameters
@@ -173,7 +173,7 @@ class Force(_Vector):
 
 
 @dataclass(frozen=True)
-class BodyForce(_Vector):
+class BodyForce(VectorCondition):
     """Dead force per reference volume on the particles of a region.
 
     Parameters
@@ -195,7 +195,7 @@ class BodyForce(_Vector):
 
 
 @dataclass(frozen=True)
-class Traction(_Vector):
+class Traction(VectorCondition):
     """Dead traction on a face of the body.
 
     Parameters

@@ -285,9 +285,11 @@ class Face(Region):
             raise CaseError(f"A body of {dim} dimensions has no side {self.side!r}.")
 
 
-def named_region(name: str) -> Region:
-    """Return the side or the set with this name."""
-    return Face(name) if name in SIDES else Named(name)
+def accept_region_name(declared: object) -> None:
+    """Replace the name of a side or a set in the field ``region`` of what a case declares by the region."""
+    name = getattr(declared, "region", None)
+    if isinstance(name, str):
+        object.__setattr__(declared, "region", Face(name) if name in SIDES else Named(name))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from pdpetsc.declare.conditions import Condition, Displacement, condition_name
+from pdpetsc.declare.conditions import Condition, Displacement, VectorCondition, condition_name
 from pdpetsc.declare.particles import WHOLE_CELLS, Lattice, Particles
 from pdpetsc.declare.region import Face, Named, Region
 from pdpetsc.declare.symmetry import Symmetry
@@ -131,6 +131,41 @@ class Roller(_Support):
         across = self.axis if self.axis is not None else self._side().side[1]
         x, y, z = (0.0 if axis == across else None for axis in "xyz")
         onto.displacement(Displacement(self._on(onto.particles), x, y, z), name)
+
+
+@dataclass(frozen=True)
+class PointSupport(VectorCondition):
+    """A support or a load pad whose mean displacement is prescribed, and which is free to turn.
+
+    The volume-weighted mean ``sum_i V_i u_i / sum_i V_i`` over the particles of a region has the given components. The
+    reaction acts on the particles in proportion to their volumes. ``Displacement`` would hold each particle, which two
+    particles are enough to make a clamp of.
+
+    Parameters
+    ----------
+    region : Region or str
+        The patch; particles of a patch of two to four spacings carry the reaction without a singular stress.
+    x, y, z : float or callable, optional
+        Components of the mean displacement [length]: numbers, or functions of the middle of the patch (1, dim) and the
+        load parameter that return one value.
+    schedule : callable, optional
+        As for ``Displacement``.
+
+    Raises
+    ------
+    CaseError
+        In a case: a particle of the region is held or tied by another condition too.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> left = pd.PointSupport(pd.region.Sphere((0.0, 0.0), 2.0), x=0.0, y=0.0)
+    >>> pushed = pd.PointSupport(pd.region.Sphere((50.0, 20.0), 2.0), y=-1.0)
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Tie one particle of the patch to the others."""
+        onto.mean_displacement(self, name)
 
 
 def beyond_sides(

@@ -333,10 +333,13 @@ class Scheme(Declared, ABC):
         Whether the weights follow from the bonds of the family alone, so that particles with the same bonds share them.
     points_of_bonds : bool
         Whether the points of a particle are those of its bonds, in the order in which its bonds are listed.
+    horizon_ratio : float
+        Horizon over spacing on a lattice if a case declares no horizon [-].
     """
 
     of_family: ClassVar[bool] = False
     points_of_bonds: ClassVar[bool] = False
+    horizon_ratio: ClassVar[float] = 1.5
 
     def of_unit_spacing(self) -> Scheme:
         """Return it without lengths of its body, to compile its loops on particles one unit apart."""

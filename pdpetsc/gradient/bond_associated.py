@@ -54,6 +54,7 @@ class BondAssociated(Scheme):
     """
 
     of_family: ClassVar[bool] = True
+    horizon_ratio: ClassVar[float] = 2.015
     points_of_bonds: ClassVar[bool] = True
 
     radius: float = 1.0

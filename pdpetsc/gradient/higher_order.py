@@ -49,6 +49,7 @@ class HigherOrder(Scheme):
     """
 
     of_family: ClassVar[bool] = True
+    horizon_ratio: ClassVar[float] = 3.015
 
     order: int = 3
 

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declare.region import All, Nearest, Region
+from pdpetsc.declare.region import All, Nearest, Region, accept_region_name
 from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
@@ -59,7 +59,14 @@ _NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lo
 
 
 class Quantity(Declared, ABC):
-    """A number that is computed from every converged step for the history."""
+    """A number that is computed from every converged step for the history.
+
+    A quantity that has a ``region`` takes a name in its place, as conditions do.
+    """
+
+    def __post_init__(self) -> None:
+        accept_region_name(self)
+        super().__post_init__()
 
     @property
     def dimension(self) -> str:

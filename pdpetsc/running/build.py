@@ -102,7 +102,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     count = int(total(comm, len(chunk.x)))
     first = offset(comm, len(chunk.x))
     with agreed(comm):
-        reach = horizons_of(case.horizon, chunk, first, count, case.particles.thickness)
+        reach = horizons_of(case.chosen_horizon, chunk, first, count, case.particles.thickness)
     _refuse_large_families(comm, case, chunk.x, reach, count)
     # A bond is one thing with two ends, of which a gradient reads one.
     mutual = case.of_bonds

@@ -6,11 +6,16 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from pdpetsc.case import Case
 from pdpetsc.declare.conditions import Displacement, condition_name
 from pdpetsc.declare.cracks import recorded as recorded_crack
-from pdpetsc.declare.region import Nearest
+from pdpetsc.declare.particles import Lattice
+from pdpetsc.declare.region import SIDES, Nearest
+from pdpetsc.declare.supports import PointSupport
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.selection import select
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
 from pdpetsc.petsc.library import petsc_version
@@ -72,6 +77,8 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     if cloud.varies:
         entries["least_horizon"] = cloud.least_horizon
         report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
+    elif case.horizon is None:
+        report.say(f"horizon {cloud.horizon:.6g}, which the case does not declare")
     report.say(
         f"{cloud.n_global} particles in {cloud.dim}D, {bonds} bonds, "
         f"{f'{points} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
@@ -135,10 +142,17 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     held = problem.supports.held_by_condition()
     for name, axes, count in held:
         report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
+    for name, axes, count in _held_in_the_mean(case, problem):
+        report.say(f"{name}: mean of {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
     for name, count in _held_twice(case, held):
         report.warn(
-            f"{name} holds {count} particles that are equally near to its point, which may resist rotation as a clamp "
-            f"does; take the point nearer to one of them."
+            f"{name} holds {count} particles equally near to its point, which may resist rotation as a clamp does; use "
+            f"pd.PointSupport on a patch about it."
+        )
+    for name, side in _held_inside(case, problem):
+        report.say(
+            f"note: {name} holds the outermost particles of side {side}, half a spacing inside the body, which is "
+            f"shorter by as much; pd.Clamp({side!r}) and pd.Roller({side!r}) hold the side itself"
         )
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
@@ -153,6 +167,17 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     return {"supports": supports, "held_at_cut_families": cut}
 
 
+def _held_in_the_mean(case: Case, problem: Problem) -> list[tuple[str, str, int]]:
+    """Return the name, the components and the number of particles of each point support."""
+    found, cloud = [], problem.body.cloud
+    for number, condition in enumerate(case.conditions, 1):
+        if isinstance(condition, PointSupport):
+            name = condition_name(condition, number)
+            axes = "".join("xyz"[axis] for axis, _ in condition.components(problem.dim))
+            found.append((name, axes, int(total(cloud.comm, np.count_nonzero(select(cloud, condition.region, name))))))
+    return found
+
+
 def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
     """Return the names of displacements at a point that hold several particles, and the counts."""
     counts = {name: count for name, _, count in held}
@@ -161,4 +186,28 @@ def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[
         name = condition_name(condition, number)
         if isinstance(condition, Displacement) and isinstance(condition.region, Nearest) and counts[name] > 1:
             found.append((name, counts[name]))
+    return found
+
+
+def _held_inside(case: Case, problem: Problem) -> list[tuple[str, str]]:
+    """Return the names of displacements that hold all outermost particles of a side of a lattice, and the sides."""
+    if not isinstance(case.particles, Lattice):
+        return []
+    cloud, found = problem.body.cloud, []
+    x = cloud.x[: cloud.n_owned]
+    low, high = (np.asarray(end, dtype=float) for end in case.particles.box)
+    half = 0.5 * case.particles.spacing
+    for number, condition in enumerate(case.conditions, 1):
+        if not isinstance(condition, Displacement):
+            continue
+        name = condition_name(condition, number)
+        held = select(cloud, condition.region, name)
+        for side in SIDES[: 2 * cloud.dim]:
+            axis = "xyz".index(side[1])
+            if getattr(condition, side[1]) is None or side in case.particles.fictitious:
+                continue
+            outermost = np.abs(x[:, axis] - (low[axis] + half if side[0] == "-" else high[axis] - half)) < half
+            n, of_these = total(cloud.comm, [np.count_nonzero(outermost), np.count_nonzero(outermost & held)])
+            if 0 < n == of_these:
+                found.append((name, side))
     return found

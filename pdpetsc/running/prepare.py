@@ -214,7 +214,7 @@ def prepare(
 
 def _with_supports(case: Case) -> Case:
     """Return the case with the layers and mirror planes that its supports add to a lattice."""
-    particles, planes = beyond_sides(case.particles, case.conditions, case.horizon)
+    particles, planes = beyond_sides(case.particles, case.conditions, case.chosen_horizon)
     return replace(case, particles=particles, symmetry=[*case.symmetry, *planes])
 
 

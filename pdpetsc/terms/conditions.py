@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Mask
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.conditions import (
     BodyForce,
     Condition,
@@ -17,9 +17,11 @@ from pdpetsc.declare.conditions import (
     SurfacePressure,
     Traction,
     Value,
+    VectorCondition,
     condition_name,
 )
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.supports import PointSupport
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
@@ -29,6 +31,7 @@ from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
+from pdpetsc.problem.ties import Combination
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.surface_loads import SurfaceLoads
 
@@ -75,6 +78,33 @@ class Applied:
         """Prescribe displacements."""
         mask, components = self._where(condition, name)
         self.supports.prescribe(condition, components, np.flatnonzero(mask), name)
+
+    def mean_displacement(self, condition: PointSupport, name: str) -> None:
+        """Prescribe the mean displacement of a patch: one of its particles is tied to the others."""
+        mask, components = self._where(condition, name)
+        cloud = self.body.cloud
+        own = np.flatnonzero(mask)
+        parts = cloud.comm.allgather((cloud.gid[own], cloud.row[own], cloud.x[own], cloud.volume[own]))
+        gid, row, x, volume = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        # In an order that ranks do not change; the tied particle has the largest volume, so that no sum is amplified.
+        order = np.argsort(gid)
+        gid, row, x, volume = gid[order], row[order], x[order], volume[order]
+        tied = int(np.argmax(volume))
+        others = np.arange(len(gid)) != tied
+        middle = (volume @ x / volume.sum())[None]
+        axes = np.array([axis for axis, _ in components] if gid[tied] in cloud.gid[own] else [], dtype=np.int32)
+        n, each = len(axes), int(others.sum())
+        combination = Combination(
+            np.repeat(own[cloud.gid[own] == gid[tied]], n).astype(np.int32), axes,
+            each * np.arange(n + 1, dtype=np.int64), np.tile(row[others], n), np.repeat(axes, each),
+            np.tile(-volume[others] / volume[tied], n),
+        )  # fmt: skip
+
+        def values(t: float) -> Float:
+            means = [condition.value(value, middle, t)[0] for _, value in components][:n]
+            return np.array(means) * volume.sum() / volume[tied]
+
+        self.supports.tie(combination, values, name)
 
     def force(self, condition: Force, name: str) -> None:
         """Add a total force."""
@@ -132,9 +162,7 @@ class Applied:
         """Note heat exchange of facets."""
         self.heat_flux(condition, name)
 
-    def _where(
-        self, condition: Displacement | Force | BodyForce | Traction, name: str
-    ) -> tuple[Mask, list[tuple[int, Value]]]:
+    def _where(self, condition: VectorCondition, name: str) -> tuple[Mask, list[tuple[int, Value]]]:
         """Return the own particles of a condition's region and its components, checked on all ranks (collective)."""
         mask = select(self.body.cloud, condition.region, name)
         with agreed(self.body.cloud.comm):

@@ -385,3 +385,34 @@ def test_a_crack_that_runs_takes_the_fracture_energy_with_its_measured_share(law
     found = results("runs/fracture/surfing.py", f"law={law}", f"share={share}", output=tmp_path)["results"]
     assert found["taken_over_Gc"] == pytest.approx(1.0, abs=within)
     assert found["steady"] < 0.01
+
+
+def plane_of_square_lattice(m):
+    """Return the traction over E, and the energy over E of bonds that snap there, at a stretch of 1.
+
+    By hand for a plane across an axis of a square lattice in plane stress with constant influence and the micromodulus
+    ``9 E / (pi m^3)``: ``xi_x`` bonds of each kind cross a unit area.
+    """
+    reach = range(-int(m), int(m) + 1)
+    xi = np.array([(a, b) for a in reach for b in reach if a > 0 and np.hypot(a, b) <= m], dtype=float)
+    length, c = np.linalg.norm(xi, axis=1), 9.0 / (np.pi * m**3)
+    return c * (xi[:, 0] ** 2 / length).sum(), 0.5 * c * (xi[:, 0] * length).sum()
+
+
+def test_a_strength_and_a_fracture_energy_give_the_law_of_bonds():
+    strength, m = 0.4, 3.015
+    law = pd.LinearSoftening(pd.FractureEnergy(GC), strength=strength)
+    x, volume = lattice(14, 14)
+    laws = body(x, volume, damage=law, horizon=m, calibration="continuum").damage.bonds.laws.laws
+    traction, energy = plane_of_square_lattice(m)
+    stretch = strength / (E * traction)
+    assert laws[0].criterion.value == pytest.approx(stretch, rel=1e-9)
+    assert laws[0].ratio == pytest.approx(GC / (E * energy * stretch**2), rel=1e-9)
+    with pytest.raises(pd.CaseError, match="too high for the fracture energy"):
+        body(x, volume, damage=dataclasses.replace(law, strength=10.0 * strength))
+    with pytest.raises(pd.CaseError, match="not both"):
+        pd.LinearSoftening(pd.FractureEnergy(GC), 3.0, strength=strength)
+    with pytest.raises(pd.CaseError, match="needs FractureEnergy"):
+        pd.LinearSoftening(pd.ConstantCritical(0.1), strength=strength)
+    with pytest.raises(pd.CaseError, match="bond-based materials only"):
+        body(x, volume, damage=law, material=pd.LinearElastic(E, 0.3))

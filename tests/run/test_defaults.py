@@ -359,3 +359,37 @@ def test_steps_to_times_are_cut_by_the_shortest_of_them():
     steps = pd.Steps(times=np.array([0.01, 0.1, 0.5, 1.0]))
     assert (steps.first, steps.largest, steps.least) == (0.5, 0.5, 0.01 / 64.0)
     assert steps.stops() == [0.01, 0.1, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    "changes, ratio",
+    [
+        ({}, 1.5),
+        ({"particles": pd.LatticeNodes((0.0, 0.0), (8.0, 6.0), 1.0)}, 1.5),
+        ({"scheme": pd.BondAssociated()}, 2.015),
+        ({"scheme": pd.HigherOrder(3)}, 3.015),
+        ({"material": pd.BondBased(E=1.0, plane="stress")}, 3.015),
+        ({"damage": pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.01)}, 3.015),
+    ],
+)
+def test_a_case_without_a_horizon_has_one_by_scheme(changes, ratio):
+    assert pd.prepare(pulled(horizon=None, **changes)).cloud.horizon == pytest.approx(ratio)
+
+
+def test_an_irregular_cloud_without_a_horizon_has_two_local_spacings(tmp_path):
+    x = np.random.default_rng(1).uniform(-0.2, 0.2, (48, 2)) + SQUARE.chunk(0, 1).x
+    cloud = pd.prepare(pulled(horizon=None, particles=pd.Arrays(x, np.full(48, 1.0)))).cloud
+    assert cloud.horizon == pytest.approx(pd.Horizon(2.015).ratio)
+
+
+def test_a_lattice_that_is_held_inside_its_surface_is_told(tmp_path, caplog):
+    caplog.set_level("INFO")
+    notes = {}
+    for name, changes in {"slab": {}, "clamp": {"conditions": [pd.Clamp("-x"), pd.Traction("+x", x=0.01)]}}.items():
+        caplog.clear()
+        pd.run(pulled(**changes), tmp_path / name)
+        notes[name] = [
+            record.getMessage() for record in caplog.records if "half a spacing inside" in record.getMessage()
+        ]
+    assert len(notes["slab"]) == 2 and "side -x" in notes["slab"][0] and "side +x" in notes["slab"][1]
+    assert notes["clamp"] == []

@@ -437,7 +437,7 @@ def test_a_point_between_two_particles_that_are_held_is_told(tmp_path, caplog):
         )  # fmt: skip
         caplog.clear()
         pd.run(case, output=tmp_path / sides)
-        warned[sides] = "Displacement condition 2 holds 2 particles that are equally near" in caplog.text
+        warned[sides] = "Displacement condition 2 holds 2 particles equally near" in caplog.text
     assert warned == {"even": True, "odd": False}
 
 
@@ -492,3 +492,51 @@ def test_a_side_that_no_particle_is_on_is_refused(support):
         pd.prepare(clamped(pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5), pd.Clamp("-z")))
     with pytest.raises(pd.CaseError, match="takes the axis"):
         pd.Roller("a set")
+
+
+BEND = """
+import pdpetsc as pd
+
+LENGTH, HEIGHT, E, NU = 40.0, 8.0, 1000.0, 0.3
+
+def case(dx=1.0, deflection=0.1):
+    ends = [pd.region.Sphere((x, 0.0), 2.1) for x in (0.0, LENGTH)]
+    middle = pd.region.Sphere((0.5 * LENGTH, HEIGHT), 2.1)
+    # Slender bending and shear of a beam that is simply supported.
+    compliance = LENGTH**3 / (4.0 * E * HEIGHT**3) + LENGTH / (4.0 * 5.0 / 6.0 * E / (2.0 + 2.0 * NU) * HEIGHT)
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (LENGTH, HEIGHT), dx),
+        material=pd.LinearElastic(E=E, nu=NU, plane="stress"),
+        conditions=[
+            pd.PointSupport(ends[0], x=0.0, y=0.0), pd.PointSupport(ends[1], y=0.0),
+            pd.PointSupport(middle, y=-deflection),
+        ],
+        history={"force": pd.Reaction("y", middle), "left": pd.Reaction("y", ends[0]),
+                 "mean": pd.Mean(pd.displacement, "y", ends[1]), "tip": pd.Mean(pd.displacement, "y", middle)},
+        results=lambda h: {name: column[-1] for name, column in h.items()}
+        | {"stiffness": -h["force"][-1] / deflection * compliance},
+    )
+"""
+
+
+def test_a_point_support_holds_the_mean_and_turns(tmp_path):
+    path = tmp_path / "bend.py"
+    path.write_text(BEND)
+    forces = []
+    for name, options, ranks in (
+        ("one", [], 1),
+        ("two", [], 2),
+        ("free", ["-pd_jacobian", "matfree", "-ksp_rtol", "1e-11"], 1),
+    ):
+        found = results(path, *options, ranks=ranks, output=tmp_path / name)["results"]
+        assert abs(found["mean"]) < 1e-12
+        assert found["tip"] == pytest.approx(-0.1, rel=1e-12)
+        assert found["left"] == pytest.approx(-0.5 * found["force"], rel=1e-7)
+        forces.append(found["force"])
+        # The reactions act at the middles of the patches, nearer to each other than the ends. Clamps: more than 2.
+        assert 1.0 < found["stiffness"] < 1.2
+        run = pd.open(tmp_path / name)
+        patch = np.linalg.norm(run.x[:, :2], axis=1) < 2.1
+        turned = np.polyfit(run.x[patch, 0], run.field("displacement")[patch, 1], 1)[0]
+        assert turned == pytest.approx(-1.5 * 0.1 / 20.0, rel=0.2)
+    np.testing.assert_allclose(forces, forces[0], rtol=1e-7)

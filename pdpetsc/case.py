@@ -27,7 +27,7 @@ from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, Natural, name_of, refuse_signature, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
-from pdpetsc.gradient.weights import Suited
+from pdpetsc.gradient.weights import Conforming, Suited
 from pdpetsc.material import Material
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.thermal import Thermal
@@ -41,8 +41,8 @@ AnyMaterial: TypeAlias = Material | BondMaterial | Graded | Thermal
 # What stands between the columns of the history, and in quotes.
 _NOT_IN_NAMES = set(",;\"'")
 # What a table or file of a run has anyway.
-# Default horizons over the spacing: of bodies that crack and of bonds, and of irregular clouds.
-OF_CRACKS, OF_IRREGULAR = 3.015, 2.015
+# Default horizons over the spacing: of bodies that crack and of bonds, and with weights that conform to the surface.
+OF_CRACKS, OF_CONFORMING = 3.015, 2.015
 _COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
@@ -82,8 +82,8 @@ class Case(Declared):
     horizon : float, Horizon, callable or (n,) array, optional
         Radius of the families [length]: one for all, ``Horizon(ratio)`` local spacings, a function of positions
         (n, dim) that returns lengths (n,), or one length per particle in the order of creation. By default 3.015
-        spacings for materials of bonds and with damage, otherwise 2.015 on irregular clouds and 1.5 on lattices, with
-        ``BondAssociated`` 2.015, with ``HigherOrder`` 3.015.
+        spacings for materials of bonds and with damage, otherwise 2.015 with conforming weights and 1.5 with standard
+        ones; at least 2.015 with ``BondAssociated`` and 3.015 with ``HigherOrder``.
     material : Material, BondMaterial, Graded, Thermal, or sequence of (Region, one of these)
         One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
     conditions : sequence of Condition
@@ -139,9 +139,10 @@ class Case(Declared):
     """
 
     particles: Particles
-    horizon: AnyHorizon | None = field(default=None, kw_only=True)
-    material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
-    conditions: Sequence[Condition]
+    horizon: AnyHorizon | None = None
+    # Required, after a field that is not: None fits no annotation and is refused.
+    material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]] = None  # type: ignore[assignment]
+    conditions: Sequence[Condition] = ()
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
     weights: Weights | None = None
@@ -217,7 +218,8 @@ class Case(Declared):
         if self.of_bonds or self.damage is not None:
             ratio = OF_CRACKS
         else:
-            ratio = max(self.gradients.horizon_ratio, OF_IRREGULAR if self.particles.irregular else 0.0)
+            conform = isinstance(self.chosen_weights, Conforming)
+            ratio = max(self.gradients.horizon_ratio, OF_CONFORMING if conform else 0.0)
         # One spacing for all makes one horizon for all.
         spacing = getattr(self.particles, "spacing", None)
         return Horizon(ratio) if spacing is None else ratio * spacing

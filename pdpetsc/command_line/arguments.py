@@ -37,10 +37,12 @@ class Syntax:
     parameters: tuple[str, ...] | None = ()
 
 
+_LONG = {"-h": "--help", "-v": "--verbose"}
+
 RUN = Syntax(
     "case file",
     ("-o", "--restart", "--solver"),
-    ("--restart-anyway", "--check", "--report", "--quiet", "--version"),
+    ("--restart-anyway", "--check", "--report", "--quiet", "-v", "--verbose", "--version"),
     None,
 )
 
@@ -100,7 +102,7 @@ def split(argv: Sequence[str], syntax: Syntax = RUN, name: str = "pdpetsc") -> A
                 raise CaseError(f"{word} is given twice.")
             found.values.setdefault(word, []).append(words.pop(0))
         elif word in ("-h", "--help", *syntax.flags):
-            found.flags.add("--help" if word == "-h" else word)
+            found.flags.add(_LONG.get(word, word))
         elif _OPTION.match(word):
             if word.startswith("--") or syntax.parameters is not None:
                 refuse_unknown([word], [*syntax.valued, *syntax.flags, "-h"], f"{name} has no option")

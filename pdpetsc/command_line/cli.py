@@ -1,6 +1,6 @@
 """Run a case, or carry out a command.
 
-usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
+usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet | -v] [-PETSC_OPTION [VALUE]]
 
   CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
   NAME=VALUE      a parameter of that function
@@ -11,6 +11,7 @@ usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--q
   --check         compare the results with what the case expects; exit status 1 where one is off
   --report        write report.html at the end: what was asked, what came out, convergence, timing, pictures
   --quiet         print errors only
+  -v, --verbose   print details too: how weights and tangent were chosen
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
 Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
@@ -202,7 +203,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             restart=arguments.value("--restart"),
             parameters=parameters,
             restart_anyway="--restart-anyway" in arguments.flags,
-            report=lambda ranks: ConsoleReport(ranks, "--quiet" in arguments.flags),
+            report=lambda ranks: ConsoleReport(ranks, "--quiet" in arguments.flags, "--verbose" in arguments.flags),
             check="--check" in arguments.flags,
             asked=_asked(arguments.path, argv),
         )

@@ -31,7 +31,7 @@ from rich.table import Table
 
 from pdpetsc.command_line.arguments import Arguments
 from pdpetsc.command_line.plot import save
-from pdpetsc.command_line.study import watched
+from pdpetsc.command_line.study import table_console, watched
 from pdpetsc.errors import CaseError
 from pdpetsc.studies.fit import Fit, fit
 from pdpetsc.studies.sets import Range
@@ -64,7 +64,7 @@ def run(path: Path, arguments: Arguments) -> int:
             raise CaseError(f"--range takes LOW:HIGH, not {ends!r}.")
         within = float(found[1]), float(found[3])
     folder = arguments.output or Path("out") / f"fit_{path.stem}"
-    console = Console(soft_wrap=True, highlight=False, markup=False)
+    console = table_console()
     with watched(arguments, folder, path.stem, console) as how:
         done = fit(
             path, ranges, to, (columns[0], columns[1]), **how, fixed=fixed, sigma=arguments.value("--sigma"),

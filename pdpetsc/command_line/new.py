@@ -12,7 +12,7 @@ from pathlib import Path
 from pdpetsc.command_line.arguments import Arguments
 from pdpetsc.errors import CaseError
 
-CASE = '''"""A bar that is pulled, to begin with.
+CASE = '''"""A bar that is clamped at one end and pulled at the other, to begin with.
 
     mpirun -n 2 python -m pdpetsc {name} dx=0.5 -snes_monitor
 
@@ -24,36 +24,27 @@ import pdpetsc as pd
 LENGTH, HEIGHT = 20.0, 4.0
 
 
-def case(dx=1.0, strain=0.01):
+def case(dx=1.0, stress=100.0):
     """Return the case; every parameter has a default and may be given as NAME=VALUE on the command line."""
-    # Regions choose particles: a slab between two planes, a ball, points with a function of place.
-    left = pd.region.Slab("x", high=dx)
-    right = pd.region.Slab("x", low=LENGTH - dx)
     return pd.Case(
-        # Particles on a lattice; pd.Mesh("part.msh") and pd.MeshNodes take those of a mesh.
-        particles=pd.Lattice((0.0, 0.0), (LENGTH, HEIGHT), dx),
-        # Every particle has a bond to all others within the horizon. 3.015 spacings are for what fails.
-        horizon=1.5 * dx,
+        # Particles on a lattice, up to the surface; pd.MeshNodes and pd.Mesh("part.msh") are those of a mesh.
+        particles=pd.LatticeNodes((0.0, 0.0), (LENGTH, HEIGHT), dx),
         # Finite strain; pd.LinearElastic for small strain, pd.J2 for metals, pd.BondBased for forces along bonds.
         material=pd.Hencky(E=200e3, nu=0.3, plane="stress"),
-        # Several gradients a particle, without zero-energy modes; or pd.Correspondence() with control=pd.Silling(0.5).
-        scheme=pd.SubHorizons(),
-        # It tears with a scheme pd.Correspondence(), control=pd.Silling(2.0), a horizon of 3.015 * dx, and
-        # damage=pd.PointDamage(pd.softening.Linear(), Gc=10.0, strength=400.0, protected=left | right).
-        # Components that are not given are free.
-        conditions=[
-            pd.Displacement(left, x=0.0),
-            pd.Displacement(pd.region.Nearest((0.0, 0.0)), y=0.0),
-            pd.Displacement(right, x=strain * (LENGTH - dx)),
-        ],
+        # Sides of the body are "-x", "+x", "-y" ...; regions such as pd.region.Slab("x", low=15.0) choose particles.
+        # pd.Roller("-y") lets a side slide, pd.Displacement("+x", x=0.1) moves it.
+        conditions=[pd.Clamp("-x"), pd.Traction("+x", x=stress)],
+        # Optional. horizon: 2.015 spacings here by default, for every particle a bond to all others within it.
+        # scheme: pd.SubHorizons() by default; pd.Correspondence() takes a control such as pd.Silling(0.5).
+        # The bar tears with damage=pd.PointDamage(pd.softening.Linear(), Gc=10.0, strength=400.0).
         # Four load steps from nothing to all of it.
         steps=pd.Steps(4),
-        # What goes to the files at every step, for ParaView and pd.open.
+        # What is written at every step, for ParaView and pd.open.
         fields=[pd.displacement, pd.stress],
-        # One number a step, in history.csv.
-        history={{"force": pd.Reaction("x", right)}},
-        # What the run prints; expect={{"force": pd.Expected(...)}} and --check compare it with what is known.
-        results=lambda history: {{"force": history["force"][-1]}},
+        # Numbers of every step, in history.csv.
+        history={{"u_end": pd.Mean(pd.displacement, "x", "+x"), "force": pd.Reaction("x", "-x")}},
+        # What the run prints; expect={{"u_end": pd.Expected(...)}} and --check compare it with what is known.
+        results=lambda history: {{"u_end": history["u_end"][-1]}},
         picture=pd.Picture(pd.stress, "xx"),
     )
 '''

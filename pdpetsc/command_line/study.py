@@ -23,6 +23,7 @@ ranks and pdpetsc are the same: a study that was stopped goes on with the same c
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,15 @@ from pdpetsc.studies.run_store import Outcome, named
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, Refinement, study
 from pdpetsc.studies.table import of_orders, of_runs
+
+# Characters of a line of a table that nobody watches.
+WIDTH = 1000
+
+
+def table_console() -> Console:
+    """Return a console that cuts no table where its output goes to a file or a pipe."""
+    width = None if sys.stdout.isatty() else WIDTH
+    return Console(soft_wrap=True, highlight=False, markup=False, width=width)
 
 
 def numbers_of(text: str, option: str) -> dict[str, float]:
@@ -103,7 +113,7 @@ def run_study(case: Path, arguments: Arguments, name: str) -> None:
         raise CaseError("--exact and --expected are for --order NAME, which says along which parameter.")
     refine = None if order is None else Refinement(order, numbers_of(exact or "", "--exact"), expected)
     folder = arguments.output or Path("out") / f"{name}_{case.stem}"
-    console = Console(soft_wrap=True, highlight=False, markup=False)
+    console = table_console()
 
     with watched(arguments, folder, case.stem, console) as how:
         done = study(case, sets, **how, refine=refine, name=name)

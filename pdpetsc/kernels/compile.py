@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numba
+from numba.core import event
 
 # No "nnan"/"ninf": an inadmissible deformation is found by comparing with NaN and infinity.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
@@ -62,6 +63,27 @@ def sources() -> tuple[tuple[str, int, int], ...]:
 def cache_trouble() -> str:
     """Return in words why kernels cannot be cached and are compiled in every run; empty where they can."""
     return _trouble[0] if _trouble else ""
+
+
+class _First(event.Listener):  # type: ignore[misc]
+    """Calls a function at the first compilation."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, event: Any) -> None:
+        """Call it, once; numba calls this."""
+        if self._tell is not None:
+            tell, self._tell = self._tell, None
+            tell()
+
+    def on_end(self, event: Any) -> None:
+        """Do nothing; numba calls this."""
+
+
+def first_compilation(tell: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
+    """Return a context in which ``tell`` is called before a kernel is compiled that no cache has, the first time."""
+    return cast(contextlib.AbstractContextManager[None], event.install_listener("numba:compile", _First(tell)))
 
 
 class _Forgiving:

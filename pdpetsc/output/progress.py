@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.text import Text
 
 from pdpetsc.discrete.communicator import Comm, is_root
+from pdpetsc.output.labels import Labels
 from pdpetsc.output.pace import Pace
 from pdpetsc.solvers.protocol import StepResult
 
@@ -51,6 +52,9 @@ class Report(ABC):
     def say(self, text: str) -> None:
         """Take a line."""
 
+    def detail(self, text: str) -> None:  # noqa: B027 - most reports leave details out
+        """Take a line for those who want to know how the numbers come about."""
+
     @abstractmethod
     def warn(self, text: str) -> None:
         """Take a sentence that should be read."""
@@ -72,19 +76,24 @@ class Report(ABC):
         """Take that a step failed and is tried shorter."""
         self.say(f"           t > {t:<8.6g} failed: {result.reason}; trying a step of {dt:.3g}")
 
-    def results(self, results: Mapping[str, float]) -> None:
-        """Take the named results."""
+    def results(self, results: Mapping[str, float], labels: Labels) -> None:
+        """Take the named results; those with the name of a column of the history have its unit."""
         for name, value in results.items():
-            self.say(f"  {name} = {value:.8g}")
+            self.say(f"  {name} = {value:.8g} {labels.unit_of_column(name)}".rstrip())
 
 
 class LogReport(Report):
-    """Passes everything on to the logger ``pdpetsc``: lines as information, warnings as warnings."""
+    """Passes lines to the logger ``pdpetsc`` as information, details for debugging, and warnings as warnings."""
 
     def say(self, text: str) -> None:
         """Log a line."""
         if self._speaks:
             LOG.info("%s", text.strip())
+
+    def detail(self, text: str) -> None:
+        """Log a line for debugging."""
+        if self._speaks:
+            LOG.debug("%s", text.strip())
 
     def warn(self, text: str) -> None:
         """Log a warning."""
@@ -122,12 +131,13 @@ class ConsoleReport(Report):
     ----------
     comm : Comm
         The ranks of the run.
-    quiet : bool
-        Print nothing but warnings.
+    quiet, verbose : bool
+        Print nothing but warnings, or also details.
     """
 
-    def __init__(self, comm: Comm, quiet: bool) -> None:
+    def __init__(self, comm: Comm, quiet: bool, verbose: bool = False) -> None:
         super().__init__(comm)
+        self._verbose = verbose
         self._console = _Console(quiet=quiet or not self._speaks, highlight=False, soft_wrap=True, markup=False)
         self._lives = self._speaks and not quiet and self._console.is_terminal and _watched(comm)
         columns = BarColumn(bar_width=10), _Words(self.pace)
@@ -149,6 +159,11 @@ class ConsoleReport(Report):
     def say(self, text: str) -> None:
         """Print a line."""
         self._console.print(text)
+
+    def detail(self, text: str) -> None:
+        """Print a line if details are wanted."""
+        if self._verbose:
+            self.say(text)
 
     def warn(self, text: str) -> None:
         """Print a sentence to stderr."""

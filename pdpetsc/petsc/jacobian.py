@@ -159,13 +159,14 @@ def predicted(filler: Filler) -> int:
 def words(choice: Choice, predicted: int) -> str:
     """Return for the log how the tangent is represented; its matrices take ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
-        by = "its diagonal blocks and a grid one horizon wide" if choice.levels else "nearest neighbours"
+        by = "a background grid" if choice.levels else "the matrix of nearest neighbours"
         return (
-            f"tangent: without a matrix, preconditioned by {by}, {predicted / 2**20:.1f} MiB predicted "
-            f"(assembled about {choice.estimate / 2**20:.0f} MiB); {choice.why}"
+            f"tangent: matrix-free, preconditioned by {by} of {predicted / 2**20:.1f} MiB (an assembled matrix would "
+            f"take about {choice.estimate / 2**20:.0f} MiB)"
         )
-    how = "factored" if choice.direct else "preconditioned"
-    return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted, {how}; {choice.why}"
+    return (
+        f"tangent: assembled matrix of {predicted / 2**20:.1f} MiB, {'direct' if choice.direct else 'iterative'} solver"
+    )
 
 
 def matrices(choice: Choice) -> str:

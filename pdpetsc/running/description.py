@@ -78,7 +78,7 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
         entries["least_horizon"] = cloud.least_horizon
         report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
     elif case.horizon is None:
-        report.say(f"horizon {cloud.horizon:.6g}, which the case does not declare")
+        report.say(f"horizon {cloud.horizon:.6g}, the default of particles and scheme")
     report.say(
         f"{cloud.n_global} particles in {cloud.dim}D, {bonds} bonds, "
         f"{f'{points} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
@@ -108,7 +108,7 @@ def _scheme(case: Case, problem: Problem, declared: Case, report: Report) -> dic
     scheme = {"name": "bonds" if case.of_bonds else type(case.gradients).__name__, "note": note}
     entries: dict[str, Any] = {"scheme": scheme}
     if note:
-        report.say(f"scheme: {note}")
+        report.detail(f"scheme: {note}")
     missed = missed_fracture_energy(case)
     if missed is not None:
         entries["fracture_energy"] = {"note": missed}
@@ -151,17 +151,17 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
         )
     for name, side in _held_inside(case, problem):
         report.say(
-            f"note: {name} holds the outermost particles of side {side}, half a spacing inside the body, which is "
-            f"shorter by as much; pd.Clamp({side!r}) and pd.Roller({side!r}) hold the side itself"
+            f"note: {name} holds side {side} half a spacing inside the surface; pd.Clamp({side!r}) or "
+            f"pd.Roller({side!r}) holds the side itself"
         )
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
         # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
         cut *= int(any(problem.body.cloud.comm.allgather(bool(unbalanced_areas(case, problem).any()))))
     if cut:
-        report.say(
-            f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
-            f"it are those of no continuum, hold a layer two horizons deep where they matter"
+        report.detail(
+            f"note: {cut} held particles have families that the surface cuts; stresses within two horizons of them "
+            f"are inaccurate"
         )
     supports = [{"condition": name, "components": axes, "particles": count} for name, axes, count in held]
     return {"supports": supports, "held_at_cut_families": cut}
@@ -193,7 +193,8 @@ def _held_inside(case: Case, problem: Problem) -> list[tuple[str, str]]:
     """Return the names of displacements that hold all outermost particles of a side of a lattice, and the sides."""
     if not isinstance(case.particles, Lattice):
         return []
-    cloud, found = problem.body.cloud, []
+    found: list[tuple[str, str]] = []
+    cloud = problem.body.cloud
     x = cloud.x[: cloud.n_owned]
     low, high = (np.asarray(end, dtype=float) for end in case.particles.box)
     half = 0.5 * case.particles.spacing

@@ -52,9 +52,9 @@ class Fragments(Observer):
         most = max(forces, default=0.0)
         left = forces[-1] / most if most > 0.0 else float("nan")
         self._pieces = {"pieces": {"pieces": pieces, "lone_particles": lone, "forces_left": left}}
-        body = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
-        beside = f", beside {lone} lone particles" if lone else ""
-        carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
+        body = "the body is in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
+        beside = f" and {lone} lone particles" if lone else ""
+        carried = f"; the last load is {100.0 * left:.3g} % of the largest of this run" if left == left else ""
         self.observed.report.say(f"{body}{beside}{carried}")
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:

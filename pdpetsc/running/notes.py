@@ -58,9 +58,8 @@ def staircase_note(case: Case, problem: Problem) -> str:
     if stairs <= FEW:
         return ""
     return (
-        f"The surface of the lattice is a staircase of {stairs} steps of one cell beside what was cut out: the stress "
-        f"there does not converge. Take a Mesh or MeshNodes that follow the surface, or read the stress two horizons "
-        f"away from it."
+        f"the cut surface of the lattice is a staircase of {stairs} steps, where stress does not converge; use a Mesh "
+        f"or MeshNodes, or read the stress two horizons away"
     )
 
 
@@ -84,10 +83,8 @@ def interface_note(case: Case, problem: Problem) -> str:
     if highest == STIFFER:
         return ""
     return (
-        f"Materials {between[0] + 1} and {between[1] + 1} share bonds, and the shear modulus of one is "
-        f"{highest:.4g} times that of the other: the stress within a horizon of their interface is off by a quarter "
-        f"or more at any spacing. Read it two horizons away, and take a smaller spacing there until displacements "
-        f"settle."
+        f"the shear moduli of materials {between[0] + 1} and {between[1] + 1} differ by a factor of {highest:.4g}: the "
+        f"stress within a horizon of their interface is off by 25 % or more; read it two horizons away"
     )
 
 
@@ -118,7 +115,7 @@ def jump_note(case: Case, problem: Problem) -> str:
     if not np.any((late > 0.0) & (early > JUMPED * late)):
         return ""
     return (
-        f"A load or a displacement jumps at the start, and is spread over the first step of {first:.4g}, in which the "
-        f"material relaxes: its stress is off by {100.0 * lost:.2g} %. Take short first steps, as "
-        f"steps=pd.Steps(times=({0.01 * first:.3g}, {0.1 * first:.3g}, {first:.3g}, ..., 1.0))."
+        f"a load jumps at the start of the first step of {first:.4g}, in which the material relaxes: stress is off by "
+        f"{100.0 * lost:.2g} %; use short first steps, steps=pd.Steps(times=({0.01 * first:.3g}, {0.1 * first:.3g}, "
+        f"{first:.3g}, ..., 1.0))"
     )

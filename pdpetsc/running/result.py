@@ -72,6 +72,8 @@ class Result(Mapping[str, float]):
         self._expect = dict(expect or {})
 
     def __getitem__(self, name: str) -> float:
+        if name not in self._results:
+            raise KeyError(f"There is no result {name!r}; there are {', '.join(self._results) or 'none'}.")
         return self._results[name]
 
     def __iter__(self) -> Iterator[str]:

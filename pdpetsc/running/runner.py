@@ -15,12 +15,13 @@ from pdpetsc.discrete.communicator import Comm, agreed, communicator, is_root
 from pdpetsc.discrete.failure import messages_apart
 from pdpetsc.errors import CaseError, OutputError, of_petsc
 from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
-from pdpetsc.kernels.compile import cache_trouble
+from pdpetsc.kernels.compile import cache_trouble, first_compilation
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, refuse_differing
 from pdpetsc.output.folder import holding, set_aside
 from pdpetsc.output.history import History
+from pdpetsc.output.labels import Labels
 from pdpetsc.output.observer import Observed, Origin
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.petsc.jacobian import matrices, words
@@ -184,17 +185,18 @@ class _Run:
         if self.expect is not None:
             with agreed(record.comm):
                 refuse_unchecked(self.expect)
-        prepared = self.prepared = prepare(declared, record.comm, options, record.phases)
+        with first_compilation(lambda: report.say("compiling kernels, once on this machine ...")):
+            prepared = self.prepared = prepare(declared, record.comm, options, record.phases)
         case = self.case = prepared.case
         if cache_trouble():
-            report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
+            report.say(f"Kernels are compiled in every run, because their cache cannot be written: {cache_trouble()}")
         record.summary |= describe(case, prepared.problem, declared, report)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]
         refuse_files(record.comm, in_force)
         if of_environment:
-            report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
+            report.say(f"options from PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
         solver = self.solver = self._solver(prepared)
         record.unit = solver.unit
         record.summary["solver"] = solver.description()
@@ -205,6 +207,7 @@ class _Run:
         def allocates(size: int) -> None:
             predicted.append(size)
             self.report.say(words(prepared.choice, size))
+            self.report.detail(f"tangent: {prepared.choice.why}")
 
         predicted: list[int] = []
         solver = prepared.make_solver(self.signals.asked, allocates)
@@ -260,6 +263,7 @@ class _Run:
             solver.resume(Start(start.unknowns, start.t, start.resume, start.tangent_at))
         self.record.steps.extend(dict(step) for step in origin.steps)
         self.record.summary["restart"] = {"step": start.step, "t": start.t}
+        self.report.say(f"restart from step {start.step} of {origin.path.parent}, t = {start.t:.6g}")
         return origin
 
     def _take_folder(self, origin: Origin | None) -> str:
@@ -304,7 +308,7 @@ class _Run:
             )
         for warning in record.warnings():
             report.warn(warning)
-        report.results(results)
+        report.results(results, Labels.of(record.summary))
         for line in lines(self.checks) if self.checks else ():
             report.say(line)
         report.say(f"results in {record.folder}")

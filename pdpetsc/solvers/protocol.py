@@ -221,15 +221,17 @@ class Solver(ABC):
         """Return what is printed of a converged step, None for nothing (not collective)."""
         result = converged.result
         last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
+        negative = result.negative_pivots or 0
+        pivots = f"{negative} negative pivot{'s' if negative > 1 else ''}"
         inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
         return (
             f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit}{inner} iterations, "
             f"residual {last:.1e}"
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
-            f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
+            f"{f', unstable equilibrium ({pivots})' if negative else ''}"
             f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
             f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
-            f"{f', BRANCHES (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
+            f"{f', not unique (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
         )
 
     @property

@@ -347,7 +347,9 @@ class Refinement:
         names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.results))
         if names:
             refuse_unknown(self.exact, names, "The case has no result")
-        return [self._one(name, members) for members in groups.values() for name in names]
+        found = [self._one(name, members) for members in groups.values() for name in names]
+        # A constant, such as an exact value beside the result, converges to nothing.
+        return [one for one in found if one.exact is not None or len(one.values) < 2 or len(set(one.values)) > 1]
 
     def _one(self, name: str, members: Sequence[tuple[Outcome, PlannedRun]]) -> Convergence:
         have = [(outcome, run) for outcome, run in members if name in outcome.results]

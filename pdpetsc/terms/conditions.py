@@ -102,7 +102,7 @@ class Applied:
 
         def values(t: float) -> Float:
             means = [condition.value(value, middle, t)[0] for _, value in components][:n]
-            return np.array(means) * volume.sum() / volume[tied]
+            return np.asarray(np.array(means) * volume.sum() / volume[tied])
 
         self.supports.tie(combination, values, name)
 

@@ -150,7 +150,9 @@ def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     found = growth(tmp_path)
     assert found == [0.0, pytest.approx(1.07, abs=0.01), pytest.approx(1.2, abs=0.05)]
     said = [record.message for record in caplog.records]
-    assert any("BRANCHES (a deviation grows by 1.07 a sweep)" in line and line.startswith("step    2") for line in said)
+    assert any(
+        "not unique (a deviation grows by 1.07 a sweep)" in line and line.startswith("step    2") for line in said
+    )
     noted = "At 2 of 3 steps damage jumped to where other branches lead away, the first at step time 0.666667"
     assert any(noted in line for line in said)
 

@@ -33,7 +33,7 @@ types: .venv/ready
 # What the site is built with goes into .venv at the first make docs only.
 .venv/docs: .venv/ready
 	$(PYTHON) -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['docs'], 'numpy<2', sep='\n')" > .venv/docs.txt
-	$(PYTHON) -m pip install -q --disable-pip-version-check -r .venv/docs.txt
+	$(PYTHON) -m pip install -qq --disable-pip-version-check -r .venv/docs.txt
 	touch .venv/docs
 
 docs: .venv/docs

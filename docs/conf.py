@@ -23,6 +23,7 @@ extensions = [
     "numpydoc",
     "sphinx_copybutton",
     "sphinx_design",
+    "excerpts",
     "links",
     "usage",
 ]
@@ -62,7 +63,8 @@ html_sidebars = {"index": [], "start": []}
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
-    "logo": {"text": "pdpetsc"},
+    "logo": {"text": f"pdpetsc {release}"},
+    "navbar_end": ["licence", "theme-switcher"],
     "header_links_before_dropdown": 7,
     "navigation_with_keys": False,
     "show_prev_next": True,

@@ -19,10 +19,13 @@ window.fetch = (url, ...more) => {
 };
 """
 SCORER = """
+const asked = (new URLSearchParams(window.location.search).get("q") || "").toLowerCase();
 var Scorer = {
   score: (result) => {
     const place = Object.keys(PLACES).filter((name) => result[0].startsWith(name)).sort((a, b) => b.length - a.length);
-    return result[4] + (place.length ? PLACES[place[0]] : 0);
+    // Pages that have the very words more often come first.
+    const count = asked ? (TEXTS[`${result[0]}.html`] || "").toLowerCase().split(asked).length - 1 : 0;
+    return result[4] + (place.length ? PLACES[place[0]] : 0) + 5 * Math.log2(1 + count);
   },
   objNameMatch: 11, objPartialMatch: 6, objPrio: {0: 15, 1: 5, 2: -5}, objPrioDefault: 0,
   title: 15, partialTitle: 7, term: 5, partialTerm: 2,
@@ -31,8 +34,9 @@ var Scorer = {
 
 
 def text_of(node):
-    """Return the text of a section without that of the sections in it."""
-    parts = [child.astext() for child in node.children if not isinstance(child, nodes.section)]
+    """Return the text of a section without equations and the sections in it."""
+    left_out = (nodes.section, nodes.math_block)
+    parts = [child.astext() for child in node.children if not isinstance(child, left_out)]
     return " ".join(" ".join(parts).split())
 
 

@@ -231,6 +231,11 @@ class MeshNodes(Mesh):
         rows = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
         return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
 
+    @property
+    def on_surface(self) -> bool:
+        """Return that outer particles lie on the surface."""
+        return True
+
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of nodes, and the parts of the free facets of the cells that belong to them.
 

@@ -540,3 +540,43 @@ def test_a_point_support_holds_the_mean_and_turns(tmp_path):
         turned = np.polyfit(run.x[patch, 0], run.field("displacement")[patch, 1], 1)[0]
         assert turned == pytest.approx(-1.5 * 0.1 / 20.0, rel=0.2)
     np.testing.assert_allclose(forces, forces[0], rtol=1e-7)
+
+
+@pytest.mark.parametrize("tagged", [False, True])
+def test_nodes_of_a_mesh_are_clamped_themselves(tagged, tmp_path):
+    """A bar of triangles with its own uniform stress: rollers by side and by the name of a set of the mesh."""
+    n, m = 8, 4
+    points = np.stack(np.meshgrid(0.5 * np.arange(n + 1), 0.5 * np.arange(m + 1), indexing="ij"), axis=-1).reshape(
+        -1, 2
+    )
+    low = (np.arange(n)[:, None] * (m + 1) + np.arange(m)).ravel()
+    cells = np.concatenate([np.stack([low, low + m + 1, low + m + 2], 1), np.stack([low, low + m + 2, low + 1], 1)])
+    left = np.stack([np.arange(m), np.arange(1, m + 1)], 1)
+    path = tmp_path / "bar.vtu" if not tagged else tmp_path / "bar.msh"
+    tags = {
+        "gmsh:physical": [np.ones(len(cells), int), np.full(m, 7)],
+        "gmsh:geometrical": [np.ones(len(cells), int), np.full(m, 7)],
+    }
+    mesh = meshio.Mesh(
+        points,
+        [("triangle", cells), ("line", left)],
+        cell_data=tags,
+        field_data={"left": np.array([7, 1]), "body": np.array([1, 2])},
+    )
+    if tagged:
+        mesh.write(path, file_format="gmsh22", binary=False)
+    else:
+        meshio.Mesh(points, [("triangle", cells)]).write(path)
+    support = pd.Roller("left", axis="x") if tagged else pd.Roller("-x")
+    case = pd.Case(
+        particles=pd.MeshNodes(path), material=pd.LinearElastic(E=E, nu=0.3, plane="stress"),
+        conditions=[support, pd.Roller("-y"), pd.Traction("+x", x=1.0)],
+        history={"x": pd.Mean(pd.displacement, "x", "+x"), "y": pd.Mean(pd.displacement, "y", "+y")},
+    )  # fmt: skip
+    history = pd.run(case, tmp_path / "run").history
+    assert history["x"][-1] == pytest.approx(4.0 / E, rel=1e-8)
+    assert history["y"][-1] == pytest.approx(-0.3 * 2.0 / E, rel=1e-8)
+    clamped = dataclasses.replace(case, conditions=[pd.Clamp("left" if tagged else "-x"), pd.Traction("+x", x=1.0)])
+    prepared = pd.prepare(clamped)
+    fixed = prepared.problem.supports.fixed[: prepared.cloud.n_owned].all(axis=1)
+    np.testing.assert_array_equal(fixed, prepared.cloud.x[: prepared.cloud.n_owned, 0] == 0.0)

@@ -19,7 +19,7 @@ from pdpetsc.declare.horizon import AnyHorizon, Horizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import All, Region
-from pdpetsc.declare.solvers import AnySolver, Newton
+from pdpetsc.declare.solvers import AnySolver, Newton, Opening
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
@@ -33,7 +33,7 @@ from pdpetsc.material.graded import Graded
 from pdpetsc.material.thermal import Thermal
 from pdpetsc.post.invariants import von_mises
 from pdpetsc.post.picture import Picture
-from pdpetsc.post.quantities import Quantity, refuse_component
+from pdpetsc.post.quantities import PathOpening, Quantity, refuse_component
 from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
 
@@ -116,7 +116,7 @@ class Case(Declared):
     solver : Newton, DynamicRelaxation, EventDriven or PathFollowing
         How equilibrium is found.
     history : mapping of str to Quantity
-        Numbers written per step; names have no comma, semicolon or quote.
+        Numbers written per step; names have no comma, semicolon or quote. A path by ``Opening`` adds ``opening``.
     results : callable, optional
         Gets the history as lists per name and returns the named scalar results of the run.
     fields : sequence of Field, or mapping of str to Field
@@ -239,6 +239,13 @@ class Case(Declared):
             return Standard()
         # Nodes on a surface that weights do not conform to are pushed away from the supports that hold it.
         return Suited() if self.particles.irregular or self.particles.on_surface else Standard()
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Return the quantities of the history: the opening that a path follows, and those of the case."""
+        measure = getattr(self.solver, "measure", None)
+        of_path = {"opening": PathOpening(measure)} if isinstance(measure, Opening) else {}
+        return {**of_path, **self.history}
 
     @property
     def written(self) -> list[Field]:

@@ -48,9 +48,23 @@ def curve_figure(columns: Mapping[str, Float], labels: Labels) -> Any | None:
 
 
 def newton_figure(summary: Mapping[str, Any]) -> Any:
-    """Return a figure of the residual of every iteration of the steps of a run over forces and reactions."""
-    figure, (axis,) = panels(1)
+    """Return a figure of the residual of every iteration of the last solve of each step, and of the work of each step.
+
+    Residuals are over forces and reactions. A step whose damage is found in sweeps, as along a path, has many solves.
+    """
+    figure, (axis, work) = panels(2)
     steps: Sequence[Mapping[str, Any]] = summary.get("steps", [])
+    numbers = [step["step"] for step in steps]
+    for name in ("newton_iterations", "linear_iterations", "sweeps"):
+        counts = [step.get(name) or 0 for step in steps]
+        if any(counts):
+            work.plot(
+                numbers, counts, "o-" if len(steps) <= MARKED else "-", markersize=3, label=name.replace("_", " ")
+            )
+    work.set(xlabel="step", ylabel="number in the step")
+    work.grid(alpha=0.3)
+    if work.get_legend_handles_labels()[0]:
+        work.legend(fontsize=8)
     from matplotlib import colormaps
 
     for number, step in enumerate(steps):

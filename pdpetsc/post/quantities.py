@@ -12,6 +12,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.region import All, Nearest, Region, accept_region_name
+from pdpetsc.declare.solvers import Opening
 from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
@@ -148,6 +149,24 @@ class Mean(_OfField):
         weight = solution.volume[mask]
         moment, volume = solution.sum([weight @ values, weight.sum()])
         return float(moment / volume)
+
+
+@dataclass(frozen=True)
+class PathOpening(Quantity):
+    """The measure of a path by ``Opening``: the mean displacement of its region against that of the other [length]."""
+
+    measure: Opening
+
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return "length"
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the opening."""
+        sides = [self.measure.region, *([] if self.measure.against is None else [self.measure.against])]
+        moved = [Mean(displacement, self.measure.component, side).evaluate(solution) for side in sides]
+        return moved[0] - sum(moved[1:])
 
 
 def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:

@@ -94,7 +94,7 @@ def _labels(case: Case) -> dict[str, Any]:
     return {
         "units": {} if case.units is None else dataclasses.asdict(case.units),
         "dimensions": {
-            "history": {name: quantity.dimension for name, quantity in case.history.items()},
+            "history": {name: quantity.dimension for name, quantity in case.quantities.items()},
             "fields": {field.__name__: dimension_of(field) for field in case.recorded},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],

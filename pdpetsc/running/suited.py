@@ -98,14 +98,8 @@ def locks(lame: float) -> bool:
 def words(case: Case, lame: float) -> str:
     """Return the line of the log that says which scheme and control were chosen, and why."""
     if case.damage is not None:
-        return (
-            f"gradient points fail: chosen are scheme={case.scheme} and control={case.control}, with which a crack "
-            f"takes the declared fracture energy"
-        )
-    return (
-        f"nu = {poisson_ratio(lame):.5g} at F = I locks the default scheme: chosen are scheme={case.scheme} and "
-        f"control={case.control}"
-    )
+        return f"default with PointDamage: scheme={case.scheme}, control={case.control}"
+    return f"default at nu = {poisson_ratio(lame):.5g}: scheme={case.scheme}, control={case.control}"
 
 
 def locking_note(case: Case, problem: Problem) -> str:

@@ -14,6 +14,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -88,7 +90,12 @@ SECTIONS = {
         Example("Stress intensity of an edge crack", "fracture/edge_crack.py", "n=40"),
         Example("Double cantilever beam", "fracture/double_cantilever.py", "law=none"),
         Example("Plate broken through snap-back", "bonds/snap_back.py", curve=("displacement", "force")),
-        Example("Notched concrete beam", "fracture/notched_beam.py", "n=8 step=0.05 end=0.4", ("deflection", "t")),
+        Example(
+            "Notched concrete beam, to separation",
+            "fracture/notched_beam.py",
+            "n=16 step=0.05 end=1.2 damage=point",
+            ("opening", "t"),
+        ),
         Example("Fibre that debonds", "fracture/interface.py", curve=("t", "force")),
     ],
     "Many particles": [
@@ -143,6 +150,7 @@ def perform(example: Example, work: Path = WORK) -> str:
     if kept.is_file() and kept.read_text() == now:
         return ""
     kept.unlink(missing_ok=True)
+    before = time.perf_counter()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = [sys.executable, "-m", "pdpetsc"]
     runs = [[*words, str(example.path), *example.words.split(), "--check", "-o", str(folder)]]
@@ -161,6 +169,7 @@ def perform(example: Example, work: Path = WORK) -> str:
         if not (folder / picture).is_file():
             return f"it has not drawn {picture}"
     kept.write_text(now)
+    print(f"{example.file}: {time.perf_counter() - before:.0f} s", flush=True)
     return ""
 
 
@@ -176,8 +185,17 @@ def code(source: str) -> str:
     return "\n".join(source.split("\n")[first.end_lineno if told else 0 :]).strip()
 
 
+def pack(example: Example, path: Path) -> None:
+    """Write a zip file with an example, the files that it imports and the data beside them, with their paths."""
+    sources = imported(example.path)
+    data = {one for source in sources for one in source.parent.iterdir() if one.suffix in DATA}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for one in sorted(sources | data):
+            packed.write(one, relative(one))
+
+
 def page(example: Example, work: Path, images: Path) -> str:
-    """Return the page of an example that has been run; its pictures are copied to ``images``."""
+    """Return the page of an example that has been run; its pictures and files are copied to ``images``."""
     folder = work / example.name
     summary = json.loads((folder / "summary.json").read_text())
     source = example.path.read_text()
@@ -194,7 +212,11 @@ def page(example: Example, work: Path, images: Path) -> str:
         lines.append(f"| `{check['result']}` | {' | '.join(numbers)} | {check['source'].replace('|', '/')} |")
     seconds = sum(summary["timings"].values())
     lines += ["", f"{summary['particles']:,} particles, {seconds:.2g} seconds on one core.", ""]
-    lines += [f"`runs/{example.file}` goes on after these words:", "", "```python", code(source), "```", ""]
+    pack(example, images / f"{example.name}.zip")
+    lines += [
+        f"{{download}}`All files of this example <{images.name}/{example.name}.zip>`; `runs/{example.file}` is:",
+        "", "```python", code(source), "```", "",
+    ]  # fmt: skip
     return "\n".join(lines)
 
 

@@ -75,6 +75,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
+from pdpetsc.declare.tools import Contact, RigidCylinder, RigidPlane, RigidSphere, RigidTool
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
@@ -158,6 +159,7 @@ __all__ = [
     "Clamp",
     "Comparison",
     "ConstantCritical",
+    "Contact",
     "ControlEnergy",
     "Convection",
     "CrackLength",
@@ -228,6 +230,10 @@ __all__ = [
     "Refinement",
     "RelativeError",
     "Result",
+    "RigidCylinder",
+    "RigidPlane",
+    "RigidSphere",
+    "RigidTool",
     "Roller",
     "RunError",
     "Segment",

@@ -26,6 +26,7 @@ FOLDERS = {
     "bonds": "Bond-based and state-based materials against closed forms",
     "fracture": "Cracks, softening, complete separation",
     "localisation": "Where damage localises: periodic cells, event by event",
+    "contact": "Contact with rigid tools",
     "own": "A material and a force of one's own",
     "dog_bone": "A body from a mesh",
     "bench": "Timings, memory, scaling: `python runs/bench/all.py --quick`",

@@ -1,4 +1,4 @@
-"""What a material of forces along bonds declares and what a body asks of it."""
+"""Interface of materials with forces along bonds: declaration and stiffness of bonds."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.interior import interior
 from pdpetsc.material.linear_elastic import LinearElastic
 
-# Families whose moment is within this share of the largest one count as the largest.
+# Families count as largest if their moment is within this share of the largest moment.
 LARGEST = 0.01
-# Points of the quadrature of a moment of the influence on each half of the horizon.
+# Quadrature points of a moment of the influence function on each half of the horizon.
 QUADRATURE = 40
 
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """The bonds of the own particles as a material reads them.
+    """Bonds of the own particles as input of a material.
 
     Attributes
     ----------
     cloud, families
         Particles and bonds.
     omega, length : (n_bonds,) float64
-        Influence [-] and reference length [length] of every bond. Influence is zero where only the second end reaches
-        the first.
+        Influence [-] and reference length [length] of every bond. Influence is zero if the first end is inside the
+        horizon of the second, but not vice versa.
     influence : Influence
-        The function that gave ``omega``.
+        The influence function of ``omega``.
     thickness : float
         Thickness of a plane body or cross-section of a bar, which the volumes contain [length^(3 - dim)].
     """
@@ -56,7 +56,7 @@ class Neighbourhood:
         return np.asarray(np.bincount(self.families.centres, values, self.cloud.n_owned), dtype=float)
 
     def continuous_moment(self, power: int) -> Float:
-        """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon of each particle (n_owned,)."""
+        """Return the integral of ``omega |xi|^power`` over the full horizon ball of each particle (n_owned,)."""
         dim, horizon = self.cloud.dim, self.cloud.local_horizon[: self.cloud.n_owned]
         surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
         points, weights = scipy.special.roots_legendre(QUADRATURE)
@@ -65,16 +65,16 @@ class Neighbourhood:
         return np.asarray(surface * self.thickness * horizon ** (power + dim) * values.sum())
 
     def relative_size(self, power: int) -> Float:
-        """Return moments of whole families over that of the largest horizon, ``(reach / horizon)^(power + dim)``."""
+        """Return moments of whole families over those of the largest horizon, ``(reach / horizon)^(power + dim)``."""
         cloud = self.cloud
         return np.asarray((cloud.local_horizon[: cloud.n_owned] / cloud.horizon) ** (power + cloud.dim))
 
     @cached_property
     def share_inside(self) -> Float:
-        """Return the share of each own particle in a volume-weighted mean over the body inside (n_owned,) (collective).
+        """Compute the weight of each own particle in the volume-weighted mean over the inner body (n_owned,).
 
         The mean is over the particles further than a horizon from the surface, or, in a thin body, over those with the
-        largest families. On a lattice whose families repeat these are the same families.
+        largest families. On a lattice both are the same families (collective).
         """
         cloud = self.cloud
         found = None if cloud.stands_for is not None else interior(cloud, self.families)
@@ -89,17 +89,17 @@ class Neighbourhood:
 
 @dataclass(frozen=True)
 class BondStiffness:
-    """Stiffness that a material gives to its bonds and particles.
+    """Stiffness of bonds and particles of a material.
 
     The energy is ``sum_ij 1/2 k_ij e_ij^2 + sum_i 1/2 B_i (sum_j a_ij e_ij)^2`` over the bonds ``ij`` of every particle
-    ``i``, so that a pair counts twice, once from each end.
+    ``i``. A pair counts twice, once from each end.
 
     Attributes
     ----------
     k : (n_bonds,) float64
         Stiffness of every bond [force / length].
     a : (n_bonds,) float64 or None
-        What the elongation of a bond adds to the dilatation of its particle [1 / length]; None for no such term.
+        Derivative of the dilatation of a particle by the elongation of its bond [1 / length]; None without dilatation.
     B : (n_owned,) float64 or None
         Stiffness against dilatation [energy].
     """
@@ -118,22 +118,22 @@ class BondMaterial(Declared, ABC):
     E : float
         Young's modulus [stress], positive.
     nu : float, optional
-        Poisson's ratio [-]; a bar in 1D needs it for its lateral stretch only.
+        Poisson's ratio [-]; in 1D it determines the lateral stretch only.
     plane : {"strain", "stress"}
-        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress out of plane.
     kinematics : {"small", "finite"}
-        ``small``: bonds keep their direction and elongate by ``n . eta``, the forces are linear in the displacement.
-        ``finite``: bonds turn, and elongate by ``|xi + eta| - |xi|``.
+        ``small``: bonds keep their direction and elongate by ``n . eta``; forces are linear in the displacement.
+        ``finite``: bonds rotate and elongate by ``|xi + eta| - |xi|``.
 
     Attributes
     ----------
     of_family : bool
-        Whether its constants are stiffnesses of bonds alone that follow from the bonds of the family, so that particles
-        with the same bonds share them.
+        True if the constants are bond stiffnesses that depend on the bonds of the family only, so that particles with
+        equal bonds share them.
     """
 
     of_family: ClassVar[bool] = False
-    # The time that the load takes, as materials of deformation gradients may have it.
+    # Duration of the load, as for materials of deformation gradients.
     duration: ClassVar[float | None] = None
 
     E: float
@@ -147,34 +147,34 @@ class BondMaterial(Declared, ABC):
 
     @abstractmethod
     def elastic(self, dim: int) -> LinearElastic:
-        """Return the linear elastic material it stands for in ``dim`` dimensions.
+        """Return the equivalent linear elastic material in ``dim`` dimensions.
 
         Raises
         ------
         CaseError
-            It cannot have the declared Poisson's ratio.
+            The material does not support the declared Poisson's ratio.
         """
 
     def uniform(self) -> BondMaterial:
-        """Return itself: nothing of it depends on place."""
+        """Return the material itself: it does not depend on position."""
         return self
 
     @abstractmethod
     def stiffness(self, bonds: Neighbourhood) -> BondStiffness:
-        """Return its constants on all bonds of the own particles (collective)."""
+        """Compute the stiffness of all bonds of the own particles (collective)."""
 
 
 def combine(
     bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex, factor: Float
 ) -> BondStiffness:
-    """Return the constants of each bond from the material of its first end, times the factor there (collective).
+    """Compute the stiffness of each bond from the material of its first end, times the factor there (collective).
 
     Parameters
     ----------
     material_of : (n_owned,) int32
         Index into ``materials``.
     factor : (n_owned,) float64
-        What multiplies the moduli [-].
+        Factor of the moduli [-].
     """
     parts = [material.stiffness(bonds) for material in materials]
     centres = bonds.families.centres

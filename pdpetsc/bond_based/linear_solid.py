@@ -17,8 +17,8 @@ class LinearSolid(BondMaterial):
 
     ``W_i = 1/2 kappa theta_i^2 + 1/2 alpha_i sum_j omega (e_ij - theta_i |xi| / d)^2 V_j`` with
     ``theta_i = d / m_i sum_j omega |xi| e_ij V_j``, ``m_i = sum_j omega |xi|^2 V_j``, ``kappa = lambda + 2 mu / d`` and
-    ``alpha_i = d (d + 2) mu / m_i`` in d dimensions. Uniform dilation is exact for every family, whole or cut; shear in
-    the limit of many bonds. In 1D the second term is zero in uniform strain and controls the zero-energy mode.
+    ``alpha_i = d (d + 2) mu / m_i`` in d dimensions. Uniform dilation is exact for every family, whole or cut. Shear is
+    exact in the limit of many bonds. In 1D the second term is zero in uniform strain and controls the zero-energy mode.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class LinearSolid(BondMaterial):
         dim, n = cloud.dim, cloud.n_owned
         elastic = self.elastic(dim)
         mu = elastic.lame(dim)[1]
-        # A particle that reaches no other one has bonds where others reach it, without influence.
+        # A particle with an empty horizon may have bonds to particles with a larger horizon, without influence.
         m = np.where((m := bonds.moment(2)) > 0.0, m, 1.0)[families.centres]
         ours, theirs = cloud.volume[families.centres], cloud.volume[families.neighbours]
         k = dim * (dim + 2) * mu / m * bonds.omega * ours * theirs

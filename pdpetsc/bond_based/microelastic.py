@@ -14,18 +14,17 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.linear_elastic import LinearElastic
 
-# A family is corrected as if it had at least this share of the energy of a whole one along each axis: the factor is
-# bounded.
+# Smallest share of the energy of a whole family along each axis that the surface correction uses, to bound the factor.
 LEAST = 1e-2
-# A mean family with less than this share of its largest stiffness along an axis has none there.
+# The stiffness of the mean family along an axis is zero if it is below this share of its largest stiffness.
 NO_STIFFNESS = 1e-9
-# A Poisson's ratio that differs from the fixed one by no more than this is accepted [-].
+# Tolerance of the declared Poisson's ratio [-].
 SAME_RATIO = 1e-3
 
 
 @dataclass(frozen=True)
 class BondBased(BondMaterial):
-    """Bond-based material, ``f = c omega s n``: the force of a bond depends on its own stretch ``s`` alone.
+    """Bond-based material, ``f = c omega s n``: the force of a bond depends on its own stretch ``s`` only.
 
     Its Poisson's ratio is fixed: 1/4, 1/3 in plane stress. The micromodulus ``c`` is ``a E / I`` with
     ``I = int omega |xi| dV`` over the family and a = 2 (1D), 6.4 (plane strain), 6 (plane stress) and 12 (3D).
@@ -36,14 +35,14 @@ class BondBased(BondMaterial):
         Young's modulus [stress], ``"strain"`` or ``"stress"`` for plane strain or plane stress, and ``"small"`` or
         ``"finite"`` displacements, as for every ``BondMaterial``.
     nu : float, optional
-        Poisson's ratio [-]; where given it must be the fixed one.
+        Poisson's ratio [-]; if declared, it must be the fixed one.
     calibration : {"continuum", "lattice", "family"}
-        What ``I`` is. ``continuum``: the integral over a whole ball. ``lattice``: one number for the body, with which
-        the particles further than a horizon from the surface, pulled along x with free sides in a uniform strain, have
-        the modulus E in the mean; in a thin body, in which no particle is that far inside, those with the largest
-        families. ``family``: as ``lattice``, raised where families are cut, which corrects most of the soft surface:
-        from the energy ``W_a`` of a family stretched along each axis and its mean inside, ``g_a = W_mean / W_a``, a
-        bond gets the factor ``1 / |(n_x / g_x, n_y / g_y, n_z / g_z)|``, the mean of both of its ends.
+        Definition of ``I``. ``continuum``: the integral over a full ball. ``lattice``: one number for the body. With it
+        the particles further than a horizon from the surface have the mean modulus E in uniform tension along x with
+        free sides. In a thin body without such particles the largest families are used. ``family``: as ``lattice``,
+        with a larger stiffness in cut families, which corrects most of the soft surface. With the energy ``W_a`` of a
+        family stretched along each axis, its mean inside and ``g_a = W_mean / W_a``, a bond has the factor
+        ``1 / |(n_x / g_x, n_y / g_y, n_z / g_z)|``, the mean of both ends.
 
     References
     ----------
@@ -81,7 +80,7 @@ class BondBased(BondMaterial):
 
 
 def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of every bond from the integral over a whole ball."""
+    """Return the micromodulus of every bond from the integral over a full ball."""
     dim = bonds.cloud.dim
     # Both Lame constants of 1/2 c int omega |xi| n n n n dV are c I / (2 dim (dim + 2)); lambda + 2 mu = E on a line.
     mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]
@@ -89,24 +88,24 @@ def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
 
 
 def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of families inside, raised where the family of the first end of a bond is cut."""
+    """Return the micromodulus of inner families, increased if the family of the first end of a bond is cut."""
     cloud, families = bonds.cloud, bonds.families
     n = families.bonds(cloud.x) / bonds.length[:, None]
     weight = bonds.omega * bonds.length * cloud.volume[families.neighbours]
-    # Energy of the particle when stretched along each axis, and the mean inside over it.
+    # Energy of the particle if stretched along each axis, and mean inner energy over it.
     W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned) / bonds.relative_size(1)[:, None]
     share = bonds.share_inside
     whole = total(cloud.comm, share @ W)
     bounded = np.maximum(W, LEAST * whole)
-    g = np.divide(whole, bounded, out=np.ones_like(bounded), where=bounded > 0.0)  # one row has no energy across it
+    g = np.divide(whole, bounded, out=np.ones_like(bounded), where=bounded > 0.0)  # one row: no transverse energy
     factor = 1.0 / np.sqrt(((n / g[families.centres]) ** 2).sum(axis=1))
     return np.asarray(_lattice(bonds, elastic) * factor)
 
 
 def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus with which the mean family inside has the modulus E along x.
+    """Return the micromodulus for which the mean inner family has the modulus E along x.
 
-    Where horizons differ, families are compared over the size of a whole ball.
+    If horizons differ, families are compared relative to the size of a full ball.
     """
     cloud, families = bonds.cloud, bonds.families
     size = bonds.relative_size(1)
@@ -116,7 +115,7 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     fourth = (square * (weight * cloud.volume[families.neighbours])[:, None]).T @ square
     C = total(cloud.comm, fourth.reshape((cloud.dim,) * 4))
     stiff = np.einsum("aaaa->a", C)
-    # One row of particles has a stiffness along itself alone.
+    # A single row of particles has a stiffness along the row only.
     axis = int(np.argmax(stiff > NO_STIFFNESS * stiff.max()))
     unit = _modulus_along(axis, C)
     lam, mu = elastic.lame(cloud.dim)
@@ -127,7 +126,7 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
 
 
 def _modulus_along(axis: int, C: Float) -> float:
-    """Return the stress along an axis per strain along it with free sides, for stiffness ``C_ijkl``."""
+    """Return the modulus along an axis, stress over strain with free sides, for stiffness ``C_ijkl``."""
     dim = len(C)
     pairs = [(a, a) for a in range(dim)] + [(a, b) for a in range(dim) for b in range(a + 1, dim)]
     matrix = np.array([[C[a, b, c, d] * (1.0 if c == d else 2.0) for c, d in pairs] for a, b in pairs])

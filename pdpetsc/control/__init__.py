@@ -27,7 +27,7 @@ __all__ = [
     "ZeroEnergyControl",
 ]
 
-# Every control whose strength does not depend on units or spacing, under the word by which it is selected.
+# Controls whose strength does not depend on units or spacing, by their name in case files.
 CONTROLS: dict[str, ZeroEnergyControl | None] = {
     "none": None,
     "silling": Silling(),

@@ -27,11 +27,11 @@ from pdpetsc.kernels.control import average_force_kernel
 
 @dataclass(frozen=True)
 class RelativeAverage(ZeroEnergyControl):
-    """Averaged displacement states whose stiffness is a share of that of the material.
+    """Averaged displacement states with a stiffness in proportion to that of the material.
 
-    ``T_a = C kappa / (sum_j omega |xi|^2 V_j sum_j omega V_j) omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
-    ``C`` is a pure number, the same in all units and at all spacings. On whole families of a lattice ``a`` vanishes for
-    affine displacements; where families are cut it does not, and the patch test fails at free surfaces.
+    ``T_a = C kappa / (sum_j omega |xi|^2 V_j sum_j omega V_j) omega a_i`` with ``a_i = sum_j omega eta_ij V_j``. ``C``
+    is a pure number, independent of units and spacing. On whole families of a lattice ``a`` vanishes for affine
+    displacements. In cut families it does not, and the patch test fails at free surfaces.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class RelativeAverage(ZeroEnergyControl):
         refuse_negative("Relative averages need C", self.C)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective)."""
+        """Build the control (collective)."""
         weight = omega * cloud.volume[families.neighbours]
         total = np.bincount(families.centres, weight, minlength=cloud.n_owned)
         c = self.C * relative_factor(cloud, families, omega, stiffness)
@@ -68,11 +68,10 @@ class RelativeAverage(ZeroEnergyControl):
 class AveragedDisplacement(ZeroEnergyControl):
     """Averaged displacement states with one constant for the whole body, as published, ``T_a = C2 omega a_i``.
 
-    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which Luo2018 leaves out, makes the force derive from the
-    energy ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` carries a unit and its
-    best value depends on the spacing: it is here to compare with papers, ``RelativeAverage`` is the same in all units.
-    The constants of Luo2018, Table 1, belong to an average without volumes: in a bar of unit cross-section they are
-    ``C2 / dx`` here.
+    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which Luo2018 leaves out, makes the force derive from the energy
+    ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` has a unit and its best value
+    depends on the spacing. Use it to compare with papers; ``RelativeAverage`` is independent of units. The constants of
+    Luo2018, Table 1, are for an average without volumes: in a bar of unit cross-section they are ``C2 / dx`` here.
 
     Parameters
     ----------
@@ -97,7 +96,7 @@ class AveragedDisplacement(ZeroEnergyControl):
         refuse_negative("Averaged displacement needs C2", self.C2)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective)."""
+        """Build the control (collective)."""
         return _Averaged(cloud, families, omega, self.C2 * cloud.volume[: cloud.n_owned])
 
 
@@ -145,5 +144,5 @@ class _Averaged(Control):
         return True
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control whose averages count every bond with its degradation factor."""
+        """Return the control whose averages weight every bond with its degradation factor."""
         return _Averaged(self._cloud, self._families, self._omega * phi, self._c)

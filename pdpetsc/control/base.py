@@ -1,4 +1,4 @@
-"""What a zero-energy control declares and what a body asks of it."""
+"""Interface of zero-energy controls: declaration, and forces and matrix on a body."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Stiffness:
     material_of : (n_owned,) int32
         Index into ``moduli``.
     factor : (n_owned,) float64
-        What grading multiplies the moduli by [-]; already in ``kappa``.
+        Factor of the moduli of a graded material [-]; already in ``kappa``.
     """
 
     kappa: Float
@@ -57,8 +57,8 @@ class Stiffness:
 def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Float:
     """Return ``kappa_i / sum_j omega |xi|^2 V_j`` (n_owned,) [force / length^7], 0 for a particle without family.
 
-    Bond forces ``C`` times it times ``omega eta`` have the share ``C`` of the stiffness of the material, whatever the
-    units, the spacing and the horizon (not collective).
+    Bond forces of ``C`` times this factor times ``omega eta`` have the share ``C`` of the stiffness of the material,
+    for any units, spacing and horizon (not collective).
     """
     xi = families.bonds(cloud.x)
     moment = omega * np.einsum("bm,bm->b", xi, xi) * cloud.volume[families.neighbours]
@@ -67,27 +67,27 @@ def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: S
 
 
 def refuse_negative(what: str, value: float) -> None:
-    """Raise CaseError where the coefficient of a control is negative or not finite."""
+    """Raise CaseError if the coefficient of a control is negative or not finite."""
     if not (math.isfinite(value) and value >= 0.0):
         raise CaseError(f"{what} >= 0, not {value}.")
 
 
 class ControlMatrix(ABC):
-    """The constant matrix of a control in the layout of the tangent."""
+    """Constant matrix of a control in the layout of the tangent."""
 
     @abstractmethod
     def add(self, diag: Float, off: Float) -> None:
-        """Add it to the values of the own rows."""
+        """Add the matrix to the values of the own rows."""
 
 
 @dataclass(frozen=True)
 class IsotropicMatrix(ControlMatrix):
-    """One scalar per block, times the identity; beside mirror planes one for each component.
+    """One scalar per block, times the identity; at mirror planes one scalar for each component.
 
     Attributes
     ----------
     diag, off : (1 or dim, n_blocks) float64
-        Own columns and others.
+        Values in own and in other columns.
     """
 
     sparsity: Sparsity
@@ -95,7 +95,7 @@ class IsotropicMatrix(ControlMatrix):
     off: Float
 
     def add(self, diag: Float, off: Float) -> None:
-        """Add it to the values of the own rows."""
+        """Add the matrix to the values of the own rows."""
         kernel = add_diagonal_kernel(self.sparsity.cloud.dim)
         kernel(self.sparsity.owned.diag_ptr, self.diag, diag)
         kernel(self.sparsity.owned.off_ptr, self.off, off)
@@ -109,15 +109,15 @@ class BlockMatrix(ControlMatrix):
     off: Float
 
     def add(self, diag: Float, off: Float) -> None:
-        """Add it to the values of the own rows."""
+        """Add the matrix to the values of the own rows."""
         diag += self.diag
         off += self.off
 
 
 def isotropic(sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil, *data: Float) -> IsotropicMatrix:
-    """Return the matrix whose blocks a kernel fills with a scalar for each pair of local particles (collective).
+    """Compute the matrix with one scalar per pair of local particles (collective).
 
-    Arguments as for ``fill``. A component turns its sign behind some mirror planes and not behind others.
+    Arguments as for ``fill``. A component changes its sign behind some mirror planes only.
     """
     components = sparsity.cloud.dim if len(sparsity.cloud.places.mirrors[0]) > 1 else 1
     parts = [fill(sparsity, kernel, stencils, *data, component=c) for c in range(components)]
@@ -127,20 +127,20 @@ def isotropic(sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil
 def fill(
     sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil, *data: Float, component: int | None = None
 ) -> tuple[Float, Float]:
-    """Return the values of the own rows, own columns and others, of the matrix of a control.
+    """Compute the values of the matrix of a control in the own rows, in own and in other columns.
 
     Parameters
     ----------
     sparsity : Sparsity
-        Where its blocks are.
+        Blocks of the matrix.
     kernel : callable
-        Row-wise loop, as ``Entries.add`` takes it.
+        Row-wise loop, as for ``Entries.add``.
     stencils : (point_ptr, members)
-        What the matrix couples.
+        Particles that the matrix couples.
     data
-        What the kernel reads after the stencils.
+        Arguments of the kernel after the stencils.
     component : int, optional
-        The component that blocks of one value have; whole blocks if absent.
+        Component if blocks have one value; whole blocks by default.
 
     Notes
     -----
@@ -155,7 +155,7 @@ def fill(
 
 
 class Control(Product, ABC):
-    """A control built for one cloud: forces linear in u, so that its matrix is constant."""
+    """A control built for one cloud: forces linear in u, with a constant matrix."""
 
     _filled: tuple[Sparsity, ControlMatrix] | None = None
     _shared: tuple[GradientOperator, SameGradient | None] | None = None
@@ -163,16 +163,16 @@ class Control(Product, ABC):
     @property
     @abstractmethod
     def stencils(self) -> Stencil:
-        """Return what its matrix couples: the families with their centre first."""
+        """Return the stencils of the matrix: the families, with the centre first."""
 
     @abstractmethod
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
-        """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
+        """Add the forces of ``u`` (n_local, dim) in the families of selected own particles; return the energy there."""
 
     def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return what its forces take in the loop over ``operator`` where its gradient is that one, else None.
+        """Return the data of the control for the loop over ``operator`` if both have the same gradient, else None.
 
-        One pass over the families can then compute the forces of the material and of the control (not collective).
+        One pass over the families then computes the forces of material and control (not collective).
         """
         return None
 
@@ -181,28 +181,28 @@ class Control(Product, ABC):
         """Return the matrix for ``sparsity`` (collective)."""
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of ``du`` in the families of some own particles."""
+        """Add the forces of ``du`` in the families of selected own particles."""
         self.force(du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
-        """Add the matrix, which is computed once."""
+        """Add the rows of the matrix, which is computed once."""
         if self._filled is None or self._filled[0] is not entries.sparsity:
             self._filled = entries.sparsity, self.matrix(entries.sparsity)
         self._filled[1].add(entries.diag, entries.off)
 
     def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return ``of_gradient``, computed once for an operator."""
+        """Return ``of_gradient``, computed once per operator."""
         if self._shared is None or self._shared[0] is not operator:
             self._shared = operator, self.of_gradient(operator)
         return self._shared[1]
 
     def scaled(self, share: Float) -> Control:
-        """Return the control with the stiffness of the family of each own particle times a positive share (n_owned,).
+        """Return the control with the stiffness of each own family times a positive share (n_owned,).
 
         Raises
         ------
         CaseError
-            It has no such form.
+            The control has no such form.
         """
         raise CaseError(_NOT_FOLLOWING)
 
@@ -222,24 +222,24 @@ class Control(Product, ABC):
         Raises
         ------
         CaseError
-            It has no such form.
+            The control has no such form.
         """
         raise CaseError(_NOT_FOLLOWING)
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles (n,) with their centre first, ascending (not collective)."""
+        """Return the families of selected own particles (n,), ascending, with the centre first (not collective)."""
         ptr, members = self.stencils
         entries, first = entries_of(ptr, particles)
         return StencilMembers(particles, first, members[entries])
 
     def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Return those of ``family_forces`` that are of some own particles, in the order of ``families_at``."""
+        """Return ``family_forces`` of selected own particles, in the order of ``families_at``."""
         return np.asarray(self.family_forces(u)[entries_of(self.stencils[0], particles)[0]])
 
     def family_energy(self, u: Float) -> Float:
         """Return the energy of the family of every own particle (n_owned,) [energy] (not collective)."""
         (ptr, members), m = self.stencils, self.family_forces(u)
-        # Relative to the centre, so that what moves the family as a whole does not round.
+        # Relative to the centre: a translation of the family causes no round-off.
         eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
         return np.asarray(0.5 * np.add.reduceat(np.einsum("ei,ei->e", m, eta), ptr[:-1]))
 
@@ -249,65 +249,65 @@ class Control(Product, ABC):
         Raises
         ------
         CaseError
-            It has no such form.
+            The control has no such form.
         """
         raise CaseError(_NO_DAMAGE)
 
     def faded(self, phi: Float) -> Control:
-        """Return the control with the force of every bond times its ``phi`` (n_bonds,), and its gradient as it is.
+        """Return the control with the force of every bond times its ``phi`` (n_bonds,), with the same gradient.
 
-        Its matrix takes the degradation factor as constant.
+        The degradation factor is constant in its matrix.
 
         Raises
         ------
         CaseError
-            It has no such form.
+            The control has no such form.
         """
         raise CaseError(_NO_DAMAGE)
 
     def bond_forces(self, u: Float) -> Float:
         """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
 
-        The degradation factor that ``faded`` multiplies them with is not in them (not collective).
+        They do not contain the degradation factor of ``faded`` (not collective).
 
         Raises
         ------
         CaseError
-            It has no such form.
+            The control has no such form.
         """
         raise CaseError(_NO_DAMAGE)
 
 
 @dataclass(frozen=True)
 class ZeroEnergyControl(Declared, ABC):
-    """A zero-energy control as a case declares it.
+    """Declaration of a zero-energy control in a case.
 
     Attributes
     ----------
     of_kappa : bool
-        Whether it is a ``NonUniform`` control in proportion to ``kappa`` of each particle, so that particles whose
-        families repeat share its bond stiffness.
+        True if the control is ``NonUniform`` and in proportion to ``kappa`` of each particle, so that particles with
+        equal families share its bond stiffness.
     """
 
     of_kappa: ClassVar[bool] = False
 
     @property
     def elastic(self) -> ZeroEnergyControl:
-        """Return the control of a body whose materials have no history: itself."""
+        """Return the control for materials without history: itself."""
         return self
 
     def sees(self, stiffness: Stiffness) -> Stiffness:
-        """Return the stiffness that ``build`` is given for that of the material: the same (not collective)."""
+        """Return the stiffness that ``build`` uses, by default that of the material (not collective)."""
         return stiffness
 
     @property
     def least_share(self) -> float | None:
-        """Return down to which share of its stiffness it follows a material that yields [-]; None where it does not."""
+        """Return the smallest stiffness ratio of a tangent-scaled control [-]; None for other controls."""
         return None
 
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control for influence ``omega`` (n_bonds,) and the stiffness of the own particles.
+        """Build the control for influence ``omega`` (n_bonds,) and the stiffness of the own particles.
 
         Notes
         -----
@@ -316,7 +316,7 @@ class ZeroEnergyControl(Declared, ABC):
 
 
 def with_centre_forces(indptr: GlobalIndex, forces: Float) -> Float:
-    """Return forces on the members of families, centre first, from those on the second ends of bonds (n_bonds, dim)."""
+    """Return forces on members of families, centre first, from forces on second ends of bonds (n_bonds, dim)."""
     found = np.insert(forces, indptr[:-1], 0.0, axis=0)
     first = indptr[:-1] + np.arange(len(indptr) - 1)
     found[first] = -np.add.reduceat(found, first, axis=0)

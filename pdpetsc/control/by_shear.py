@@ -14,12 +14,12 @@ from pdpetsc.discrete.families import Families
 
 @dataclass(frozen=True)
 class ByShear(ZeroEnergyControl):
-    """A control scaled with twice the shear modulus in the place of ``kappa``, for nearly incompressible bodies.
+    """A control scaled with twice the shear modulus instead of ``kappa``, for nearly incompressible bodies.
 
-    ``kappa = lambda + 2 mu / dim`` grows without end towards nu = 1/2, and a control in proportion to it locks the
-    body: families bend at constant volume, which such a control resists with the bulk modulus. Here a control sees
-    the material that has the same shear moduli and ``kappa = 2 mu``. In the plane that is the same control at
-    nu = 1/4, and 0.77 of it at nu = 0.3. A bar has no shear modulus and keeps the control as it is.
+    ``kappa = lambda + 2 mu / dim`` is unbounded as nu approaches 1/2, and a control in proportion to it locks the body:
+    families bend at constant volume, but the control resists bending with the bulk modulus. Here the control is built
+    for a material with the same shear moduli and ``kappa = 2 mu``. In the plane it is unchanged at nu = 1/4, and 0.77
+    times as stiff at nu = 0.3. A bar has no shear modulus, and its control is unchanged.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class ByShear(ZeroEnergyControl):
 
     References
     ----------
-    Silling2017, section 5, for the control; the scale is of this package.
+    Silling2017, section 5, for the control; the scale is that of this package.
 
     Examples
     --------
@@ -41,17 +41,17 @@ class ByShear(ZeroEnergyControl):
 
     @property
     def of_kappa(self) -> bool:  # type: ignore[override]
-        """Return what the control says."""
+        """Return the value of the control."""
         return self.control.of_kappa
 
     @property
     def elastic(self) -> ZeroEnergyControl:
-        """Return the same of what is followed where materials have no history."""
+        """Return ``ByShear`` of the elastic control."""
         return ByShear(self.control.elastic)
 
     @property
     def least_share(self) -> float | None:
-        """Return what the control says."""
+        """Return the value of the control."""
         return self.control.least_share
 
     def sees(self, stiffness: Stiffness) -> Stiffness:
@@ -67,17 +67,17 @@ class ByShear(ZeroEnergyControl):
         return self.control.sees(replace(stiffness, kappa=twice[of] * stiffness.factor, moduli=moduli))
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective)."""
+        """Build the control (collective)."""
         return self.control.build(cloud, families, omega, stiffness)
 
 
 def twice_shear(A: Float) -> float:
-    """Return the mean of ``d : A : d`` over strains d of norm one without trace [stress]: ``2 mu`` of an isotropic law.
+    """Return the mean of ``d : A : d`` over deviatoric strains d of norm 1 [stress]: ``2 mu`` of an isotropic law.
 
     Parameters
     ----------
     A : (dim, dim, dim, dim) float64
-        Tangent at F = I [stress]; of a bar that is its modulus.
+        Tangent at F = I [stress]; for a bar its modulus.
     """
     dim = A.shape[-1]
     if dim == 1:

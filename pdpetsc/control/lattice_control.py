@@ -1,4 +1,4 @@
-"""Controls of bodies on a lattice whose families repeat."""
+"""Controls of bodies on a lattice with equal families."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_control_blocks
 
 
 class LatticeControl(Control):
-    """``NonUniform`` whose bond stiffness is ``c_i w_ij`` with one ``w`` for all particles that share a family.
+    """``NonUniform`` with the bond stiffness ``c_i w_ij``, with one ``w`` for all particles with equal families.
 
     Parameters
     ----------
     lattice : LatticeStencils
-        Which particles share one family.
+        Patterns of families.
     irregular : NonUniform
-        The control of the particles whose families do not repeat, and of one of each pattern of the others.
+        The control of the particles with unique families, and of one particle of each pattern.
     scale : (n_owned,) float64
-        ``c_i``, 1 at the one that stands for a pattern [-].
+        ``c_i`` [-], 1 at the particle that represents a pattern.
     listed : callable
-        Makes the control with all bonds listed, for whoever assembles its matrix (collective).
+        Builds the control with all bonds listed, to assemble its matrix (collective).
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class LatticeControl(Control):
         self._lattice, self._irregular, self._scale, self._make = lattice, irregular, scale, listed
         self._all: Control | None = None
         own = lattice.irregular
-        # The forces of particles that stand for a pattern are those of its rows.
+        # The rows of a pattern contain the forces of the particle that represents it.
         stiffness = np.where(
             np.arange(len(irregular.bond_stiffness)) < own.indptr[own.n], irregular.bond_stiffness, 0.0
         )
@@ -65,7 +65,7 @@ class LatticeControl(Control):
         self._same = found
 
     def _of(self, weights: Weights, irregular: SameGradient) -> LatticeSharedGradient | None:
-        """Return what loops over some weights take; None where opposite bonds of an entry are not alike."""
+        """Return the arguments of loops over weights; None if opposite bonds of an entry differ."""
         of_bonds = weights.of_members(self._lattice.steps, self._stiffness)
         return None if of_bonds is None else LatticeSharedGradient(irregular, of_bonds, self._K, self._scale)
 
@@ -77,7 +77,7 @@ class LatticeControl(Control):
 
     @property
     def stencils(self) -> Stencil:
-        """Return the families with their centre first, all of them listed (collective the first time)."""
+        """Return the families, all listed, with the centre first (collective the first time)."""
         return self._listed.stencils
 
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
@@ -85,7 +85,7 @@ class LatticeControl(Control):
         return self._listed.matrix(sparsity)
 
     def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return what a loop over the gradient of the scheme needs where it is that of the control."""
+        """Return the data for a loop over the gradient of the scheme, if the control has the same gradient."""
         if not isinstance(operator, LatticeGradient):
             return None
         irregular = self._irregular.of_gradient(operator.irregular)
@@ -121,7 +121,7 @@ class LatticeControl(Control):
         return energy
 
     def _row_energies(self, part: Part, u: Float) -> Float:
-        """Return the energies of the families of the particles in rows (n_owned,), zero for others."""
+        """Return the energies of the families in rows (n_owned,), zero for others."""
         lattice, same, energies = self._lattice, self._same, np.zeros(self._lattice.cloud.n_owned)
         data = lattice.grid.at, *self._weights.arrays, same.weight, same.scale, same.K, lattice.grid.onto(u)
         rows_energy_kernel(u.shape[1])(*part.loop, *data, energies)
@@ -135,7 +135,7 @@ class LatticeControl(Control):
         return energies
 
     def scaled(self, share: Float) -> LatticeControl:
-        """Return the control with the stiffness of the family of each own particle times its share (n_owned,)."""
+        """Return the control with the stiffness of each own family times its share (n_owned,)."""
         lattice, own = self._lattice, self._lattice.irregular
         of_irregular = np.ones(own.cloud.n_owned)
         of_irregular[: own.n] = share[own.local[: own.n]]
@@ -143,15 +143,15 @@ class LatticeControl(Control):
         return LatticeControl(lattice, self._irregular.scaled(of_irregular), scale, lambda: self._listed.scaled(share))
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles with their centre first."""
+        """Return the families of selected own particles, with the centre first."""
         return self._springs_at(particles)[0]
 
     def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Return ``s_ij z_ij`` in the families of some own particles, and minus their sum on ``i``."""
+        """Return ``s_ij z_ij`` in the families of selected own particles, and minus their sum on ``i``."""
         return forces_on_members(*self._springs_at(particles), self._lattice.cloud.x, u)
 
     def _springs_at(self, particles: LocalIndex) -> tuple[StencilMembers, Float, Float]:
-        """Return the families of some own particles, ``s`` (n_entries,) of their members and ``K_i^-1``."""
+        """Return the families of selected own particles, ``s`` (n_entries,) of their members and ``K_i^-1``."""
         lattice = self._lattice
         families, s, K_inverse = self._irregular.springs_at(lattice.represented_by[particles])
         size, scale = np.diff(families.point_ptr), self._scale[particles]
@@ -161,13 +161,13 @@ class LatticeControl(Control):
 
 
 def of_irregular(stiffness: Stiffness, lattice: LatticeStencils) -> Stiffness:
-    """Return the stiffness of the particles whose families do not repeat, and of the one that stands for the others."""
+    """Return the stiffness of particles with unique families and of those that represent a pattern."""
     own = lattice.irregular.local[: lattice.irregular.cloud.n_owned]
     return Stiffness(stiffness.kappa[own], stiffness.moduli, stiffness.material_of[own], stiffness.factor[own])
 
 
 def relative_scale(stiffness: Stiffness, lattice: LatticeStencils) -> Float:
-    """Return ``kappa_i`` over that of the particle that stands for its pattern (n_owned,) [-]; 1 where none does."""
+    """Return ``kappa_i`` over that of the particle that represents its pattern (n_owned,) [-]; 1 without pattern."""
     own, scale = lattice.irregular, np.ones(lattice.cloud.n_owned)
     of_patterns = stiffness.kappa[own.local[own.n : own.n + lattice.n_patterns]]
     scale[lattice.shared] = stiffness.kappa[lattice.shared] / lattice.of_shared(of_patterns)

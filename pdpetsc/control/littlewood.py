@@ -1,4 +1,4 @@
-"""Littlewood's penalty on how far the elongation of a bond is from that of the uniform gradient of its family."""
+"""Littlewood's penalty on the difference between the elongation of a bond and that of the family gradient."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from pdpetsc.errors import CaseError
 class Littlewood(ZeroEnergyControl):
     """Littlewood's penalty, ``T_h = C c_i omega (n . z) n / |xi|`` with ``z = eta - (F - I) xi``, ``n = xi / |xi|``.
 
-    ``c_i = 2 dim^2 kappa / sum_j omega |xi| V_j`` is the micromodulus of a bond-based solid on the family at hand
-    (``18 kappa / pi horizon^4`` in 3D with many neighbours), so ``C`` is a pure number. The direction of the bond is
-    that of the reference configuration and the forces derive from an energy, which makes the matrix constant and
-    symmetric; in Littlewood2010 it turns with the bond, and the force acts on the two ends of the bond alone.
+    ``c_i = 2 dim^2 kappa / sum_j omega |xi| V_j`` is the micromodulus of a bond-based solid on this family
+    (``18 kappa / pi horizon^4`` in 3D with many neighbours), so ``C`` is a pure number. Bonds have their reference
+    direction and the forces derive from an energy, so that the matrix is constant and symmetric. In Littlewood2010 the
+    direction rotates with the bond, and the force acts on both ends of the bond only.
 
     Parameters
     ----------
     C : float
         Strength [-], not negative.
     micromodulus : {"family", "ball"}
-        Where the micromodulus is from. ``"family"`` is that above. ``"ball"`` is the hourglass coefficient of Peridigm,
-        ``T_h = C (18 kappa / pi horizon^4) (n . z) n / |xi|``: of a whole ball, without influence, in 3D only.
+        Origin of the micromodulus. ``"family"``: as above. ``"ball"``: the hourglass coefficient of Peridigm, ``T_h = C
+        (18 kappa / pi horizon^4) (n . z) n / |xi|``, for a whole ball, without influence, in 3D only.
 
     Raises
     ------
     CaseError
-        C is negative or not finite, or the micromodulus neither of them; when built, a ball in 1D or 2D.
+        C is negative or not finite, or ``micromodulus`` is unknown. When built: ``"ball"`` in 1D or 2D.
 
     References
     ----------
@@ -61,7 +61,7 @@ class Littlewood(ZeroEnergyControl):
             raise CaseError(f"Littlewood's penalty needs C >= 0, not {self.C}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        """Build the control (collective); raise CaseError if a family is too small or flat."""
         g, _ = gradient_weights(cloud, families, omega, "Littlewood's penalty")
         xi = families.bonds(cloud.x)
         length = np.linalg.norm(xi, axis=1)

@@ -1,4 +1,4 @@
-"""Controls on ``z = eta - H xi``: the deformation of a bond less that of the gradient H of its family."""
+"""Controls on ``z = eta - H xi``: the deformation of a bond minus that of the gradient H of its family."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blo
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import same_gradient_kernel
 
-# Weights of two gradients are the same up to this share of the largest.
+# Tolerance for equal weights of two gradients, as a share of the largest weight.
 SAME = 1e-12
 
 
@@ -42,9 +42,9 @@ class NonUniform(Control):
     stiffness : (n_bonds,) float64
         ``s_ij`` [force / length].
     K_inverse : (n_owned, dim, dim) float64
-        Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
+        Inverse of ``sum_j s_ij xi (x) xi``, which makes H the best fit to the family; zero for H = 0.
     phi : (n_bonds,) float64, optional
-        ``T_ij`` [-], on the forces but not in H, so that they do not derive from an energy; 1 where absent.
+        ``T_ij`` [-], on the forces but not in H, so that the forces do not derive from an energy; 1 by default.
     """
 
     def __init__(
@@ -89,11 +89,11 @@ class NonUniform(Control):
         return energy
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles with their centre first."""
+        """Return the families of selected own particles, with the centre first."""
         return self.springs_at(particles)[0]
 
     def springs_at(self, particles: LocalIndex) -> tuple[StencilMembers, Float, Float]:
-        """Return the families of some own particles, ``s`` (n_entries,) of their members and ``K_i^-1``.
+        """Return the families of selected own particles, ``s`` (n_entries,) of their members and ``K_i^-1``.
 
         ``s`` is zero for the centres, which come first.
         """
@@ -103,7 +103,7 @@ class NonUniform(Control):
         return with_centre, with_centre.weight, self._K_inverse[particles]
 
     def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Return ``T_ij s_ij z_ij`` in the families of some own particles, and minus their sum on ``i``."""
+        """Return ``T_ij s_ij z_ij`` in the families of selected own particles, and minus their sum on ``i``."""
         if self._phi is not None:
             return super().forces_at(u, particles)
         return forces_on_members(*self.springs_at(particles), self._cloud.x, u)
@@ -135,7 +135,7 @@ class NonUniform(Control):
         return BondGradient(self._stiffness, inverses(self._K_inverse))
 
     def scaled(self, share: Float) -> NonUniform:
-        """Return the control with ``s_ij`` times the share of ``i``; H stays the gradient that it is."""
+        """Return the control with ``s_ij`` times the share of ``i``; H is unchanged."""
         stiffness = self._stiffness * share[self._families.centres]
         return NonUniform(self._cloud, self._families, stiffness, self._K_inverse / share[:, None, None], self._phi)
 
@@ -147,7 +147,7 @@ class NonUniform(Control):
         return with_centre_forces(self._families.indptr, forces)
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds left."""
+        """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds."""
         stiffness = self._stiffness * phi
         K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
         held = self._K_inverse.any(axis=(1, 2))
@@ -173,7 +173,7 @@ def forces_on_members(families: StencilMembers, s: Float, K_inverse: Float, x: F
     Parameters
     ----------
     families : StencilMembers
-        With their centres first.
+        Families, with the centre first.
     s : (n_entries,) float64
         Stiffness, 0 for centres [force / length].
     K_inverse : (n, dim, dim) float64
@@ -247,16 +247,16 @@ class Directed(Control):
         return BlockMatrix(*fill(sparsity, directed_matrix_kernel(dim), self.stencils, *data))
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add to the blocks of local particles (n_local, dim, dim)."""
+        """Add the diagonal blocks to those of local particles (n_local, dim, dim)."""
         family, kernel = self._families, directed_blocks_kernel(self._cloud.dim)
         kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, blocks)
         return True
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control with ``S_ij`` times the degradation factor, which is in its gradient too.
+        """Return the control with ``S_ij`` and the weights of its gradient times the degradation factor.
 
         ``g'_ij = T_ij M_i^-1 g_ij`` with ``M_i = sum_j T_ij g_ij (x) xi_ij``, so that ``sum_j xi_ij (x) g'_ij = I``:
-        affine displacements have no force; H is zero in directions without bonds left.
+        affine displacements have no force. H is zero in directions without intact bonds.
         """
         centres, xi = self._families.centres, self._families.bonds(self._cloud.x)
         g = phi[:, None] * self._g

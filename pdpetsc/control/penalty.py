@@ -17,11 +17,11 @@ from pdpetsc.kernels.gradient import inverses
 
 @dataclass(frozen=True)
 class Penalty(ZeroEnergyControl):
-    """Penalty of one constant for the whole body, ``T_a = C3 omega z`` with ``z = eta - (F - I) xi``.
+    """Penalty with one constant for the whole body, ``T_a = C3 omega z`` with ``z = eta - (F - I) xi``.
 
-    Affine displacements have no force. ``C3`` carries a unit and its best value depends on the spacing and the
-    material: it is here to compare with papers. Scaled with the modulus and the family of each particle it is
-    ``Silling``, ``G kappa = C3 sum_j omega |xi|^2 V_j``.
+    Affine displacements have no force. ``C3`` has a unit and its best value depends on the spacing and the material.
+    Use it to compare with papers. Scaled with the modulus and the family of each particle it is ``Silling``,
+    ``G kappa = C3 sum_j omega |xi|^2 V_j``.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Penalty(ZeroEnergyControl):
         refuse_negative("The penalty needs C3", self.C3)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        """Build the control (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "the penalty")
         factor = self.C3 * cloud.volume[: cloud.n_owned]

@@ -27,9 +27,8 @@ MICROMODULUS = {2: 12.0 / math.pi, 3: 18.0 / math.pi}
 class Silling(ZeroEnergyControl):
     """Silling's control, ``T_z = G kappa / (sum_j omega |xi|^2 V_j) omega z`` with ``z = eta - (F - I) xi``.
 
-    ``kappa = lambda + 2 mu / dim`` is the modulus of the material, so ``G`` is a pure number: the same case in other
-    units has the same answer. It resists the part of the deformation that a uniform gradient of the whole family does
-    not describe, so affine displacements have no force.
+    ``kappa = lambda + 2 mu / dim`` is the modulus of the material, so ``G`` is a pure number, independent of units. The
+    control resists the non-uniform part of the deformation of a family; affine displacements have no force.
 
     Parameters
     ----------
@@ -43,7 +42,7 @@ class Silling(ZeroEnergyControl):
 
     References
     ----------
-    Silling2017, section 5; Hashim, Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+    Silling2017, section 5; Hashim, Eq. (37)-(44), with the coefficient of ``SillingMicromodulus``.
 
     Examples
     --------
@@ -61,7 +60,7 @@ class Silling(ZeroEnergyControl):
         _refuse_negative(self.G)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        """Build the control (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
         return _proportional(cloud, families, weight, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
@@ -69,26 +68,26 @@ class Silling(ZeroEnergyControl):
 
 @dataclass(frozen=True)
 class SillingMicromodulus(ZeroEnergyControl):
-    """Silling's control as printed in Hashim, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
+    """Silling's control as published by Hashim, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
 
     ``C = 12 k' / (pi h horizon^4)`` is the micromodulus of a bond-based solid with ``k' = lambda + mu`` in plane strain
     or stress; the thickness h is one unit of length. In 3D ``C = 18 k / (pi horizon^4)`` with the bulk modulus k.
     ``C / omega_0`` times a length is not a force density: another unit of length multiplies ``G`` by the square of the
-    ratio of the units, and the ``G`` of a paper means something with its unit alone. It is here to reproduce such
-    papers; ``Silling`` has a ``G`` without a unit.
+    ratio of the units. The ``G`` of a paper is therefore valid with the unit of the paper only. Use this class to
+    reproduce such papers; ``Silling`` has a dimensionless ``G``.
 
     Parameters
     ----------
     G : float
-        Strength, not negative: a number for one unit of length.
+        Strength, not negative, for one unit of length.
     unit_length : float
-        That unit of length, in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the
-        paper computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
+        This unit of length, in the unit of the case [length]: 1 if the case has the units of the paper, 1000 if the
+        paper uses m and the case mm. Results for the same ``G`` and unit do not depend on the units of the case.
 
     Raises
     ------
     CaseError
-        ``G`` is negative or not finite, or ``unit_length`` not positive; when built, of a body in 1D.
+        ``G`` is negative or not finite, or ``unit_length`` is not positive. When built: the body is in 1D.
 
     References
     ----------
@@ -119,11 +118,11 @@ class SillingMicromodulus(ZeroEnergyControl):
         dim: int = 2,
         influence: Influence = Constant(),  # noqa: B008 (frozen)
     ) -> float:
-        """Return the ``G`` of ``Silling`` that is the same control on whole families of a square or cubic lattice.
+        """Return the ``G`` of ``Silling`` for the same control on whole families of a square or cubic lattice.
 
-        It is ``G (unit_length / horizon)^2 c sum omega |xi|^2 / (horizon^2 sum omega)`` with c = 12 / pi in 2D and
-        18 / pi in 3D, sums over the lattice; families that a boundary cuts have other sums and differ from it. It is
-        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` turns it back.
+        It is ``G (unit_length / horizon)^2 c sum omega |xi|^2 / (horizon^2 sum omega)`` with c = 12 / pi in 2D and 18 /
+        pi in 3D, sums over the lattice. Families that a boundary cuts have other sums and a different control. The
+        result is proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` is the inverse.
 
         Parameters
         ----------
@@ -137,7 +136,7 @@ class SillingMicromodulus(ZeroEnergyControl):
         Raises
         ------
         CaseError
-            There is no such control in this dimension, or the horizon holds no neighbour.
+            There is no such control in this dimension, or the horizon contains no neighbour.
         """
         c = _micromodulus(dim)
         if not (0.0 < spacing <= horizon * (1.0 + HORIZON_TOLERANCE) and math.isfinite(horizon)):
@@ -150,7 +149,7 @@ class SillingMicromodulus(ZeroEnergyControl):
         return float(self.G * (self.unit_length / horizon) ** 2 * c * (omega @ s**2) / omega.sum())
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective); raises CaseError in 1D and where a family is too small or flat."""
+        """Build the control (collective); raise CaseError in 1D or if a family is too small or flat."""
         c = _micromodulus(cloud.dim)
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")

@@ -15,11 +15,11 @@ from pdpetsc.discrete.families import Families
 
 @dataclass(frozen=True)
 class RelativeSprings(ZeroEnergyControl):
-    """Linear springs on all bonds whose stiffness is a share of that of the material.
+    """Linear springs on all bonds, with a stiffness in proportion to that of the material.
 
     ``T_a = C kappa / (sum_j omega |xi|^2 V_j) omega eta`` with the factor of ``Silling``: ``C`` is a pure number,
-    the same in all units and at all spacings. Springs resist affine deformation and rotation as well: a bar is stiffer
-    by the factor ``1 + C`` in every uniform state, the patch test fails and rotations must stay small.
+    independent of units and spacing. Springs also resist affine deformation and rotation: a bar is stiffer by the
+    factor ``1 + C`` in every uniform state, the patch test fails, and rotations must be small.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class RelativeSprings(ZeroEnergyControl):
         refuse_negative("Relative springs need C", self.C)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective)."""
+        """Build the control (collective)."""
         return springs(cloud, families, omega, self.C * relative_factor(cloud, families, omega, stiffness))
 
 
@@ -52,9 +52,9 @@ class RelativeSprings(ZeroEnergyControl):
 class Springs(ZeroEnergyControl):
     """Linear springs with one constant for the whole body, as published, ``T_a = C1 omega eta``.
 
-    ``C1`` carries a unit and its best value depends on the spacing and on the softest material: it is here to compare
-    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo2018, Table 1, belong to sums without
-    the volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
+    ``C1`` has a unit and its best value depends on the spacing and on the softest material. Use it to compare with
+    papers; ``RelativeSprings`` is independent of units. The constants of Luo2018, Table 1, are for sums without the
+    volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Springs(ZeroEnergyControl):
         refuse_negative("Springs need C1", self.C1)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective)."""
+        """Build the control (collective)."""
         return springs(cloud, families, omega, np.full(cloud.n_owned, self.C1))
 
 

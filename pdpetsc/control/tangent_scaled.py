@@ -1,4 +1,4 @@
-"""A zero-energy control that follows the stiffness of a material that yields."""
+"""Zero-energy control whose stiffness decreases with the tangent of a yielding material."""
 
 from __future__ import annotations
 
@@ -14,53 +14,60 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import StencilMembers
 
-# Shares that differ from one by less are those of an elastic point.
+# A point is elastic if its share differs from 1 by less.
 ROUND = 1e-9
 
 
 @dataclass(frozen=True)
 class TangentScaled(ZeroEnergyControl):
-    """A zero-energy control whose stiffness falls with that of the material at each particle.
+    """A zero-energy control whose stiffness decreases with that of the material at each particle.
 
-    A control with the stiffness of the elastic material holds a body that yields: what is not uniform in a family
-    meets forces that the material has long lost. Here the control of a particle yields with it. Let ``2 W`` be the
-    energy of the elastic control of its family, ``e = sqrt(2 W)`` the size of what it resists and ``q = dW/de`` their
-    force; elastic is ``q = e``. In a load step ``e_0`` is the largest ``e`` of the steps before, ``c_0`` the share
-    ``q / e`` there and ``c_t`` the share of the tangent modulus that the material has left at the last equilibrium::
+    A control with the elastic stiffness is too stiff for a yielding body: its forces grow with the non-uniform
+    deformation, those of the material do not. Here the control of a particle yields with the material. Let W be the
+    energy of the control of a family. ``e = sqrt(2 W)``, with the elastic energy, measures the deformation that the
+    control resists. Its force is ``q = dW/de``, for an elastic control ``q = e``. In a load step ``e_0`` is the largest
+    ``e`` of earlier steps, ``c_0`` the ratio ``q / e`` there, and ``c_t`` the ratio of tangent to elastic modulus of
+    the material at the last equilibrium::
 
         q = c_0 e                          e <= e_0
         q = c_0 e_0 + c_t (e - e_0)        e > e_0,       f = (q / e) f_elastic
 
-    ``c_t`` is the smallest ``d : A : d / d : A_0 : d`` over all strains d, the mean of the points of the particle, with
-    the moduli A of the Jaumann rate of Kirchhoff stress in the frame of the material and A_0 those at F = I; in J2
-    plasticity of a solid it is ``H / (3 mu + H)``. It lies between ``least`` and ``c_0`` and stays during a load step.
+    ``c_t`` is the smallest ``d : A : d / d : A_0 : d`` over all strains d, averaged over the points of the particle. A
+    are the moduli of the Jaumann rate of Kirchhoff stress in the frame of the material, A_0 those at F = I. In J2
+    plasticity of a solid it is ``H / (3 mu + H)``. It lies between ``least`` and ``c_0`` and is constant during a load
+    step.
 
-    Why so: the force is continuous from step to step and in equilibrium with what was found there, because what changes
-    between steps is the slope ahead and never the force. It derives from an energy, which makes its tangent exact and
-    symmetric, and positive. That energy counts what is lost, ``(q de - e dq) / 2 >= 0``: a force of the present modulus
-    times the whole ``e`` would jump where a point begins to flow and give energy back where it unloads, and increments
-    summed up as vectors would not turn with the body. What turns the control turns these forces, so the same holds of
-    rotations as of the control that it follows. The price: unloading goes back to e = 0 with the secant ``c_0``, not
-    with the elastic stiffness, and in the step in which a point begins to flow the control is still elastic.
+    Properties:
 
-    Where bonds lose their degradation factor the control has it besides, as the effect of the damage law says.
-    Particles of elastic materials keep the elastic control, and where all are elastic this is ``control``.
+    - The force is continuous from step to step and preserves the equilibrium: only the slope for further loading
+      changes between steps.
+    - It derives from an energy, so its tangent is exact, symmetric and positive. The energy includes the dissipation
+      ``(q de - e dq) / 2 >= 0``.
+    - The forces rotate with the body as those of the elastic control do.
+    - Unloading follows the secant ``c_0`` to e = 0, not the elastic stiffness. In the step in which a point begins to
+      flow the control is still elastic.
+
+    A force of the present modulus times the whole ``e`` would jump at the onset of flow and release energy on
+    unloading. A sum of increments as vectors would not rotate with the body.
+
+    If bonds have a degradation factor, it multiplies the control too, according to the evolution of the damage law.
+    Particles of elastic materials have the elastic control; if all materials are elastic, ``control`` is used.
 
     Parameters
     ----------
     control : ZeroEnergyControl
         The elastic control.
     least : float
-        Share of its stiffness that it keeps at least [-], positive, at most 1.
+        Smallest ratio of its stiffness to the elastic one [-], positive, at most 1.
 
     Raises
     ------
     CaseError
-        ``least`` is out of range, or ``control`` follows already.
+        ``least`` is out of range, or ``control`` is tangent-scaled already.
 
     References
     ----------
-    Silling2017, section 5, for controls with one modulus; the form that follows the material is of this package.
+    Silling2017, section 5, for controls with one modulus; the scaling with the tangent is that of this package.
 
     Examples
     --------
@@ -81,7 +88,7 @@ class TangentScaled(ZeroEnergyControl):
 
     @property
     def elastic(self) -> ZeroEnergyControl:
-        """Return the control that is followed."""
+        """Return the elastic control."""
         return self.control
 
     @property
@@ -90,30 +97,30 @@ class TangentScaled(ZeroEnergyControl):
         return self.least
 
     def sees(self, stiffness: Stiffness) -> Stiffness:
-        """Return what the elastic control is given."""
+        """Return the stiffness for the elastic control."""
         return self.control.sees(stiffness)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the elastic control (collective)."""
+        """Build the elastic control (collective)."""
         return self.control.build(cloud, families, omega, stiffness)
 
 
 @dataclass
 class Yielding:
-    """What the controls of some families remember of converged steps.
+    """History variables of the controls of families.
 
     Attributes
     ----------
     kept : (n, 4) float64
-        Of each family ``c_0`` [-], ``e_0`` [energy^(1/2)], the slope ``c_t`` ahead [-] and the energy lost so far
-        [energy], to be overwritten in place.
+        For each family ``c_0`` [-], ``e_0`` [energy^(1/2)], the slope ``c_t`` for further loading [-] and the energy
+        lost so far [energy]; overwritten in place.
     """
 
     kept: Float
 
     @classmethod
     def unloaded(cls, n: int) -> Yielding:
-        """Return that of ``n`` families whose controls have been elastic."""
+        """Return the history variables of ``n`` families with elastic controls."""
         return cls(np.tile([1.0, 0.0, 1.0, 0.0], (n, 1)))
 
     def secant(self, e: Float) -> Float:
@@ -122,19 +129,19 @@ class Yielding:
         return np.asarray(np.where(e > largest, slope + (c - slope) * self._ratio(e), c))
 
     def bend(self, e: Float) -> Float:
-        """Return ``(dq/de - q / e) / e^2`` (n,) [1 / energy], not positive: what the tangent has besides the secant."""
+        """Return ``(dq/de - q / e) / e^2`` (n,) [1 / energy], not positive: the tangent minus the secant part."""
         c, largest, slope, _ = self.kept.T
         grown = e > largest
         return np.divide((slope - c) * self._ratio(e), e**2, out=np.zeros_like(e), where=grown)
 
     def energy(self, e: Float) -> Float:
-        """Return the energy with what is lost (n,) [energy]."""
+        """Return the energy including the dissipated one (n,) [energy]."""
         c, largest, slope, lost = self.kept.T
         more = np.maximum(e - largest, 0.0)
         return np.asarray(lost + 0.5 * c * np.minimum(e, largest) ** 2 + more * (c * largest + 0.5 * slope * more))
 
     def commit(self, e: Float, share: Float) -> None:
-        """Take ``e`` for good; ahead the slope is the share of the tangent modulus that the material has left."""
+        """Commit ``e``; the slope for further loading is ``share``, tangent over elastic modulus of the material."""
         secant, energy = self.secant(e), self.energy(e)
         self.kept[:, 3] = np.maximum(energy - 0.5 * secant * e**2, self.kept[:, 3])
         self.kept[:, 0] = secant
@@ -148,7 +155,7 @@ class Yielding:
 
 @dataclass(frozen=True)
 class YieldingFamilies:
-    """The families of an elastic control that yield, as gradient points that fail read them.
+    """Yielding families of an elastic control, for gradient points that fail.
 
     Attributes
     ----------
@@ -162,16 +169,16 @@ class YieldingFamilies:
     yielding: Yielding
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles with their centre first."""
+        """Return the families of selected own particles, with the centre first."""
         return self.control.families_at(particles)
 
     def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Return ``(q / e) f_elastic`` on the members of the families of some own particles (n_entries, dim)."""
+        """Return ``(q / e) f_elastic`` on the members of the families of selected own particles (n_entries, dim)."""
         forces, size = self.control.forces_at(u, particles), np.diff(self.families_at(particles).point_ptr)
         return np.asarray(forces * np.repeat(self.yielding.secant(self._size(u))[particles], size)[:, None])
 
     def family_energy(self, u: Float) -> Float:
-        """Return the energy of the families with what is lost (n_owned,) [energy]."""
+        """Return the energy of the families including the dissipated one (n_owned,) [energy]."""
         return self.yielding.energy(self._size(u))
 
     def _size(self, u: Float) -> Float:
@@ -180,10 +187,10 @@ class YieldingFamilies:
 
 
 def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:
-    """Return the smallest ``d : D : d / d : A_0 : d`` over all strains d (n,) [-]: what is left of the elastic modulus.
+    """Return the smallest ``d : D : d / d : A_0 : d`` over all strains d (n,) [-]: tangent over elastic modulus.
 
-    D are the moduli of the Jaumann rate of the Kirchhoff stress in the frame of the material: those of a point that
-    does not flow are A_0, however it is rotated and whatever its stress, up to terms of the elastic strain.
+    D are the moduli of the Jaumann rate of the Kirchhoff stress in the frame of the material. At a point that does not
+    flow they are A_0 for any rotation and stress, up to terms of the elastic strain.
 
     Parameters
     ----------
@@ -200,7 +207,7 @@ def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:
     U = np.einsum("pai,paj->pij", R, F)
     tau = np.einsum("pai,pab,pjb->pij", R, P, U)
     D = np.einsum("pai,pamcn,pck,pjm,pln->pijkl", R, A, R, U, U, optimize=True)
-    # From the rate that moves with F to the one that turns with it, less the stress that turns.
+    # From the convected rate to the Jaumann rate, minus the terms of the rotating stress.
     D += 0.5 * (
         -np.einsum("ik,pjl->pijkl", one, tau) + np.einsum("jk,pil->pijkl", one, tau)
         + np.einsum("il,pjk->pijkl", one, tau) + np.einsum("jl,pik->pijkl", one, tau)

@@ -15,7 +15,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
-# Which indices of A the inverse shape tensor is contracted with.
+# Indices of A that are contracted with the inverse shape tensor.
 _CONTRACTIONS = {"gradient": "imkn,pmn->pik", "stress": "ikmn,pmn->pik"}
 
 
@@ -23,20 +23,20 @@ _CONTRACTIONS = {"gradient": "imkn,pmn->pik", "stress": "ikmn,pmn->pik"}
 class Wan(ZeroEnergyControl):
     """Wan's control, ``T_z = omega C_i z`` with ``C_i,ik = A_imkn (K_i^-1)_mn`` and ``z = eta - (F - I) xi``.
 
-    A is the small-strain stiffness of the material and K the shape tensor, so there is nothing to choose. On a regular
+    A is the small-strain stiffness of the material and K the shape tensor, so there is no parameter. On a regular
     lattice it is Silling's control with ``G kappa = dim (lambda + (dim + 1) mu)``: at nu = 1/4, G = 4 in plane strain
     and 9 in 3D, too stiff for the bending of thin bodies.
 
     Parameters
     ----------
     contraction : {"gradient", "stress"}
-        ``"gradient"`` is that above. ``"stress"`` is ``C_i = A : K_i^-1``, ``C_i,ik = A_ikmn (K_i^-1)_mn``, which
-        PeriLab calls *Global*: on a regular lattice Silling's control with ``G kappa = dim (dim lambda + 2 mu)``.
+        ``"gradient"``: as above. ``"stress"``: ``C_i = A : K_i^-1``, ``C_i,ik = A_ikmn (K_i^-1)_mn``, which PeriLab
+        calls *Global*: on a regular lattice Silling's control with ``G kappa = dim (dim lambda + 2 mu)``.
 
     Raises
     ------
     CaseError
-        The contraction is neither of them.
+        The contraction is unknown.
 
     References
     ----------
@@ -56,7 +56,7 @@ class Wan(ZeroEnergyControl):
             raise CaseError(f'Wan takes contraction="gradient" or "stress", not {self.contraction!r}.')
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
-        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        """Build the control (collective); raise CaseError if a family is too small or flat."""
         g, K_inverse = gradient_weights(cloud, families, omega, "Wan's control")
         C = np.zeros((cloud.n_owned, cloud.dim, cloud.dim))
         for number, A in enumerate(stiffness.moduli):

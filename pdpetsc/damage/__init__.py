@@ -1,4 +1,4 @@
-"""Damage of bonds and of gradient points: what drives it, and how a bond loses its force."""
+"""Damage of bonds and of gradient points: criteria, damage laws, evolution and state."""
 
 from typing import Any
 
@@ -67,7 +67,7 @@ __all__ = [
     "softening",
 ]
 
-# New name of each old one.
+# New names of renamed classes.
 _RENAMED = {
     "Beyond": "NonlocalPart",
     "DamageEffect": "DamageEvolution",

@@ -1,4 +1,4 @@
-"""Damage that is driven by strain, stress or flow at gradient points: the mean of both ends of a bond."""
+"""Damage criteria of strain, stress or plastic flow at gradient points, averaged over both ends of a bond."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.material.at_points import MaterialLaw
 from pdpetsc.material.point_laws import PointLaws
 
-# Step of central differences by a deformation gradient [-], where there is no derivative to be had.
+# Step of central differences by a deformation gradient [-], for criteria without analytical derivative.
 STEP = 1e-6
 
 
 class PointCriterion(Criterion):
-    """A criterion that is a number of every gradient point; the driving variable of a bond is the mean of both ends.
+    """A criterion at gradient points; the driving variable of a bond is the mean of both ends.
 
     Attributes
     ----------
     reads_flow : bool
-        Whether it needs materials that flow.
+        True if the criterion requires materials that flow.
     adds_up : bool
-        Whether the number is the growth since the last converged state; the sum of the growth is kept.
+        True if the value is the growth since the last converged state; the sum of the growth is stored.
     timed : bool
-        Whether it depends on the time of the step.
+        True if it depends on the time of the step.
     """
 
     reads_stiffness: ClassVar[bool] = False
@@ -53,20 +53,20 @@ class PointCriterion(Criterion):
 
     @abstractmethod
     def at_points(self, moment: Moment, F: Float) -> Float:
-        """Return the number of every point (n_points,) [-] at ``F`` (n_points, dim, dim); damage begins at 1."""
+        """Compute the value at every point (n_points,) [-] for ``F`` (n_points, dim, dim); damage begins at 1."""
 
     def by_deformation(self, moment: Moment, F: Float) -> Float:
-        """Return its derivative by F (n_points, dim, dim) [-], by default from central differences."""
+        """Compute its derivative by F (n_points, dim, dim) [-], by default from central differences."""
         return differences(lambda G: self.at_points(moment, G), F)
 
     def build(self, bonds: DamageableBonds) -> DrivingVariable:
-        """Return the mean of both ends."""
+        """Return the driving variable, the mean of both ends."""
         return PointDrivingVariable(bonds, self)
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The materials of all points at a state, the time since the last converged state, and the temperature.
+    """Material laws of all points at a state, time since the last converged state, and temperature.
 
     Attributes
     ----------
@@ -84,14 +84,14 @@ class Moment:
 
 
 class PointDrivingVariable(DrivingVariable):
-    """``x_ij = (x_i + x_j) / 2`` with the mean ``x_i`` of a number of the gradient points of a particle.
+    """``x_ij = (x_i + x_j) / 2`` with ``x_i`` the mean over the gradient points of a particle.
 
     Parameters
     ----------
     bonds : DamageableBonds
         The bonds.
     criterion : PointCriterion
-        The number at a point.
+        Criterion at a point.
     """
 
     is_nonlocal = True
@@ -104,12 +104,12 @@ class PointDrivingVariable(DrivingVariable):
         self._grown = np.zeros(bonds.cloud.n_owned)
 
     def take(self, solid: Solid) -> None:
-        """Read these gradient points."""
+        """Use these gradient points."""
         self._solid = solid
 
     @property
     def solid(self) -> Solid:
-        """Return the gradient points that are read."""
+        """Return the gradient points."""
         assert self._solid is not None
         return self._solid
 
@@ -125,7 +125,7 @@ class PointDrivingVariable(DrivingVariable):
         """Return the derivative over the families of the ends (collective)."""
         solid, families, n = self.solid, self._bonds.families, self._bonds.cloud.n_owned
         operator, F = solid.gradients, solid.deformation(state)
-        # Points of particles whose bonds do not change need no derivative.
+        # No derivative at points of particles whose bonds do not change.
         D = np.where(solid.lost[:, None, None], 0.0, self._criterion.by_deformation(_moment(solid, state), F))
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
         count = np.bincount(operator.owner, minlength=n)
@@ -134,7 +134,7 @@ class PointDrivingVariable(DrivingVariable):
         return Gradient(bonds, np.zeros(len(bonds)), None, (EndpointMean(by, found),))
 
     def commit(self, state: Displaced) -> None:
-        """Remember how far the number has grown (collective)."""
+        """Store the growth of the value (collective)."""
         if self._criterion.adds_up:
             self._grown[:] = self._of_particles(state)
 
@@ -157,9 +157,9 @@ def _by_member(
     operator: GradientOperator, point_of: GlobalIndex, each: Float, indptr: GlobalIndex, neighbours: LocalIndex,
     n_local: int,
 ) -> Float:  # fmt: skip
-    """Return the sums over the points of each particle of numbers of their entries, by members of its family.
+    """Sum numbers of entries over the points of each particle, by members of its family.
 
-    The entries of an operator ``each`` (n_entries, dim) become those of families with their centre first.
+    The entries ``each`` (n_entries, dim) of an operator become those of families with the centre first.
     """
     n = len(indptr) - 1
     centres = np.repeat(np.arange(n, dtype=np.int64), np.diff(indptr))
@@ -173,10 +173,10 @@ def _by_member(
 
 
 def _strains(laws: PointLaws, F: Float) -> tuple[Float, Float]:
-    """Return principal strains (n_points, 3) and their derivatives by F (n_points, 3, dim, dim).
+    """Compute principal strains (n_points, 3) and their derivatives by F (n_points, 3, dim, dim).
 
-    Of ``U - I``, or of the symmetric part of ``F - I`` where the material is linear; directions that F does not show
-    come last, with the strain that the material has there: none in plane strain.
+    They are those of ``U - I``, or of the symmetric part of ``F - I`` for linear materials. Directions outside F come
+    last, with the strain of the material there; it is zero in plane strain.
     """
     n, dim = len(F), F.shape[-1]
     strain, by = np.zeros((n, 3)), np.zeros((n, 3, dim, dim))
@@ -203,7 +203,7 @@ def _thins(one: MaterialLaw) -> bool:
 
 
 def _across(one: MaterialLaw, F: Float) -> tuple[Float, Float]:
-    """Return the stretch in each direction that F does not show (n,), and its derivative (n, dim, dim)."""
+    """Return the stretch in each direction outside F (n,), and its derivative (n, dim, dim)."""
 
     def stretch(G: Float) -> Float:
         hidden = one.hidden_stretch(G)
@@ -225,11 +225,10 @@ def differences(function: Callable[[Float], Float], F: Float) -> Float:
 
 @dataclass(frozen=True)
 class StrainCriterion(PointCriterion):
-    """Bonds fail with an equivalent strain of the families at both ends, the mean of both over a critical one.
+    """Bonds fail if the equivalent strain, the mean of both ends, reaches a critical value.
 
-    The strain is that of ``U - I`` at the gradient points of a body with deformation gradients, of the gradient of the
-    family in a body of bonds; of the small strain where the material is linear. It is the strain of the bonds that are
-    left, and does not know how far these have softened.
+    The strain is ``U - I`` at gradient points, or of the gradient of the family for bond materials. For linear
+    materials it is the small strain. It is computed from the unbroken bonds and does not depend on their softening.
 
     Parameters
     ----------
@@ -243,7 +242,7 @@ class StrainCriterion(PointCriterion):
 
     @abstractmethod
     def equivalent(self, strain: Float) -> tuple[Float, Float]:
-        """Return the equivalent strain (n,) of principal strains (n, 3), and its derivative by these (n, 3)."""
+        """Compute the equivalent strain (n,) of principal strains (n, 3), and its derivative by these (n, 3)."""
 
     def at_points(self, moment: Moment, F: Float) -> Float:
         """Return the equivalent strain over the critical one."""
@@ -257,9 +256,9 @@ class StrainCriterion(PointCriterion):
 
 @dataclass(frozen=True)
 class MazarsStrain(StrainCriterion):
-    """``sqrt(sum <e_a>+^2)``: the positive principal strains alone.
+    """``sqrt(sum <e_a>+^2)``: the positive principal strains.
 
-    Under pressure they are those across it, by Poisson's ratio.
+    Under pressure these are the transverse strains due to Poisson's ratio.
 
     Parameters
     ----------
@@ -285,11 +284,11 @@ class MazarsStrain(StrainCriterion):
 
 @dataclass(frozen=True)
 class VonMisesStrain(StrainCriterion):
-    """The modified von Mises strain, for materials that bear ``ratio`` times as much in compression as in tension.
+    """The modified von Mises strain, for a compressive strength of ``ratio`` times the tensile strength.
 
     ``(k - 1) / (2 k (1 - 2 nu)) I1 + 1 / (2 k) sqrt(((k - 1) I1 / (1 - 2 nu))^2 + 12 k J2 / (1 + nu)^2)`` with the
-    trace I1 of the strain and ``J2 = 1/2 dev : dev``: the strain itself in uniaxial tension, 1 / k of it in uniaxial
-    compression.
+    trace I1 of the strain and ``J2 = 1/2 dev : dev``: it is the strain in uniaxial tension, and 1 / k times the strain
+    in uniaxial compression.
 
     Parameters
     ----------
@@ -333,10 +332,10 @@ class VonMisesStrain(StrainCriterion):
 
 @dataclass(frozen=True)
 class PrincipalStress(PointCriterion):
-    """Bonds fail with the largest principal stress at both ends, the mean of both over the strength.
+    """Bonds fail if the largest principal stress, the mean of both ends, reaches the strength.
 
-    The Cauchy stress of the material without damage, at the gradient points of a body with deformation gradients, of
-    the gradient of the family in a body of bonds; principal stresses are those in the plane of a plane body.
+    The stress is the Cauchy stress of the undamaged material at gradient points, or of the gradient of the family for
+    bond materials. In a plane body only the principal stresses in the plane count.
 
     Parameters
     ----------
@@ -385,9 +384,10 @@ class PrincipalStress(PointCriterion):
 
 @dataclass(frozen=True)
 class PlasticStrain(PointCriterion):
-    """Bonds fail with the accumulated plastic strain at both ends, the mean of both over a critical one.
+    """Bonds fail if the accumulated plastic strain, the mean of both ends, reaches a critical value.
 
-    It is that of the state at hand, not of the last converged step. Materials that do not flow do not fail.
+    It is the plastic strain of the current state, not of the last converged step. Materials that do not flow do not
+    fail.
 
     Parameters
     ----------
@@ -435,34 +435,34 @@ NO_TEMPERATURE = (
 
 @dataclass(frozen=True)
 class JohnsonCookFailure(PointCriterion):
-    """Bonds fail as plastic strain uses up the failure strain of Johnson and Cook, ``D = sum d_alpha / e_f``.
+    """Bonds fail if plastic strain reaches the failure strain of Johnson and Cook, ``D = sum d_alpha / e_f``.
 
     ``e_f = (D1 + D2 exp(D3 s)) (1 + D4 ln(r / rate_0)) (1 + D5 T*)`` with the triaxiality ``s``, mean stress over von
-    Mises stress, the rate ``r`` of the plastic strain in the step, counted from ``rate_0`` on, and ``T* = (T - room) /
-    (melting - room)`` between 0 and 1 at the temperature of the body. The drive of a bond is the mean of D at both
-    ends. What converged steps have used up is kept.
+    Mises stress. ``r`` is the rate of plastic strain in the step, at least ``rate_0``.
+    ``T* = (T - room) / (melting - room)``, between 0 and 1, is that of the temperature of the body. The driving
+    variable of a bond is the mean of D at both ends. D accumulates over converged steps.
 
     Parameters
     ----------
     D1, D2, D3 : float
         [-]; failure strains must be positive.
     D4 : float
-        Logarithmic sensitivity to the rate [-], not negative; it needs ``duration``.
+        Logarithmic sensitivity to the rate [-], not negative; it requires ``duration``.
     D5 : float
-        Sensitivity to the temperature [-], above -1; it needs ``melting`` and a body with a temperature.
+        Sensitivity to the temperature [-], above -1; it requires ``melting`` and a body with a temperature.
     rate_0 : float
-        Rate of the tests that D1 to D3 are from [1 / time].
+        Rate of the tests for D1 to D3 [1 / time].
     duration : float, optional
-        Time from step time 0 to 1 [time], that of all laws of the case; with it step times are times, and a solver that
-        looks for the load is refused.
+        Time from load parameter 0 to 1 [time], equal for all laws of the case. The load parameter is then proportional
+        to time, and solvers that compute the load are refused.
     room, melting : float
         Temperature of these tests, and of melting [temperature].
 
     Raises
     ------
     CaseError
-        A constant is out of range or missing; of a case, its laws have another duration, or not all of its materials
-        have a temperature.
+        A constant is out of range or missing. In a case: laws have different durations, or a material has no
+        temperature.
 
     References
     ----------
@@ -511,12 +511,12 @@ class JohnsonCookFailure(PointCriterion):
 
     @property
     def timed(self) -> bool:
-        """Return whether it has a D4."""
+        """Return True if ``D4`` is used."""
         return self.D4 != 0.0
 
     @property
     def reads_temperature(self) -> bool:
-        """Return whether it has a D5."""
+        """Return True if ``D5`` is used."""
         return self.D5 != 0.0
 
     def failure_strain(self, triaxiality: Float) -> Float:

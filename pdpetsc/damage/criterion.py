@@ -1,7 +1,7 @@
-"""What drives the damage of bonds: a number for each of them that is 1 where it fails, and how it grows.
+"""Damage criteria and driving variables of bonds; a bond begins to fail if its driving variable is 1.
 
-A criterion is declared (``Criterion``) and becomes the driving variable of the bonds of one rank
-(``DrivingVariable``). Laws act on the driving variable and do not know how it is computed.
+A criterion is declared (``Criterion``) and is built into the driving variable of the bonds of one rank
+(``DrivingVariable``). Damage laws use the driving variable only, not the way it is computed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EVERY = slice(None)
 
 @dataclass(frozen=True)
 class DamageableBonds:
-    """The bonds of the own particles as a criterion reads them, each from one end.
+    """Bonds of the own particles as input of a criterion, each from one end.
 
     Attributes
     ----------
@@ -42,15 +42,15 @@ class DamageableBonds:
     omega : (n_bonds,) float64
         Influence [-].
     stiffness : (n_bonds,) float64 or None
-        ``k``, None where no criterion says that it reads it.
+        ``k``; None if no criterion reads it.
     finite : bool
-        Whether elongations are those of the current length, or along the first direction of a bond.
+        True if elongations are changes of the current length, False if they are along the reference direction.
     length : (n_bonds,) float64
         Reference length [length].
     material_of : (n_local,) int32
         Number of the material of each particle.
     factor : (n_local,) float64
-        What grading multiplies the moduli of each particle with [-].
+        Factor of the moduli of each particle in a graded material [-].
     """
 
     cloud: Cloud
@@ -67,10 +67,10 @@ class DamageableBonds:
         cls, cloud: Cloud, families: Families, omega: Float, k: Float | None, finite: bool,
         material_of: LocalIndex | None = None, factor: Float | None = None,
     ) -> DamageableBonds:  # fmt: skip
-        """Return the bonds of a body with what follows from the places of their ends (collective).
+        """Build the bonds of a body with data of both ends (collective).
 
-        ``material_of`` and ``factor`` are those of the own particles (n_owned,); one material that is not graded where
-        absent.
+        ``material_of`` and ``factor`` are those of the own particles (n_owned,); by default one material without
+        grading.
         """
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
@@ -86,8 +86,7 @@ class DamageableBonds:
     def k(self) -> Float:
         """Return the elastic stiffness of every bond from one end (n_bonds,) [force / length].
 
-        Of a body of deformation gradients, whose bonds have none of their own, it is that of the bond-based material
-        with the same Young's modulus.
+        In a body with gradient points it is that of the bond-based material with the same Young's modulus.
         """
         if self.stiffness is None:
             raise TypeError("The criterion has reads_stiffness = False, and reads the stiffness of bonds.")
@@ -95,25 +94,25 @@ class DamageableBonds:
 
     @cached_property
     def opposite(self) -> OppositeBonds:
-        """Return who has the other direction of every bond (collective the first time)."""
+        """Return the location of the opposite direction of every bond (collective the first time)."""
         return OppositeBonds(self.cloud, self.families, self.keys())
 
     def keys(self, bonds: GlobalIndex | Mask | slice = EVERY) -> GlobalIndex:
-        """Return the keys of some bonds (n, 3), which are the same from both ends of a bond and on any ranks.
+        """Return the keys of selected bonds (n, 3), equal from both ends of a bond and on all ranks.
 
-        A key is made of the global ids of both ends, the lower first, and the place of the second seen from the first.
-        A bond to the own mirror image has one end only, in the part of the body that is computed.
+        A key contains the global ids of both ends, the lower first, and the place of the second relative to the first.
+        A bond of a particle with its own mirror image has one end only, in the computed part of the body.
         """
         gid, (one, other, place) = self.cloud.gid, self._ends(bonds)
         return np.stack([gid[one], gid[other], place], axis=1)
 
     def middle(self, bonds: GlobalIndex | Mask | slice = EVERY) -> Float:
-        """Return the middle of some bonds, with the first end at home (n, dim) [length]."""
+        """Return the middle of selected bonds, for the first end in its own cell (n, dim) [length]."""
         x, (one, other, _) = self.cloud.x, self._ends(bonds)
         return self.cloud.places.at_home(self.cloud.place[one], 0.5 * (x[one] + x[other]))
 
     def _ends(self, bonds: GlobalIndex | Mask | slice) -> tuple[LocalIndex, LocalIndex, GlobalIndex]:
-        """Return both ends of some bonds, the one with the lower key first, and the place of the second from there."""
+        """Return both ends of selected bonds, lower key first, and the place of the second relative to the first."""
         centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]
         gid, place = self.cloud.gid, self.cloud.place[neighbours]
         back = self.cloud.places.opposite(place)
@@ -123,7 +122,7 @@ class DamageableBonds:
 
 
 class Displaced(Protocol):
-    """A displaced body as a driving variable reads it; a ``State`` is one."""
+    """Displaced body as input of a driving variable, such as a ``State``."""
 
     @property
     def clock(self) -> Clock:
@@ -134,23 +133,23 @@ class Displaced(Protocol):
         """Return the displacements with ghosts (n_local, dim) [length] (collective on first use)."""
 
     def elongated(self, finite: bool) -> tuple[Float, float]:
-        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length]."""
+        """Return the elongations (n_bonds,) and the smallest current length of a bond on this rank [length]."""
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what was kept under ``key`` since this state was first evaluated, or make and keep it."""
+        """Return the value cached for ``key`` and this state; compute it with ``make`` if it is missing."""
 
 
 @dataclass(frozen=True)
 class NonlocalPart:
-    """Derivatives of numbers of bonds by the displacements of particles, other than through the own elongation.
+    """Derivatives of bond values by displacements, without the part of the own elongation.
 
     Attributes
     ----------
     ptr : (n + 1,) int64
-        Those of the b-th bond are ``ptr[b]`` to ``ptr[b + 1]``.
+        The entries of the b-th bond are ``ptr[b]`` to ``ptr[b + 1]``.
     particles : (n_entries,) int32
-        Local particles, of the family of the first end of the bond or that end itself. Of a number that is the mean of
-        one of each end, either direction of the bond has the part of its own end, twice.
+        Local particles: the first end of the bond or members of its family. For a mean of both ends, each direction of
+        the bond contains the part of its own end, twice.
     by : (n_entries, dim) float64
         Derivative by the displacement of each [1 / length].
     """
@@ -162,15 +161,15 @@ class NonlocalPart:
 
 @dataclass(frozen=True)
 class EndpointMean:
-    """Derivatives of numbers of bonds that are the mean of one of each end.
+    """Derivatives of bond values that are the mean of both ends.
 
     Attributes
     ----------
     factor : (n,) float64
-        What multiplies the mean, for each bond [-]; the same from both ends.
+        Factor of the mean for each bond [-], equal from both ends.
     by : (n_entries, dim) float64
-        Derivative of the number of every own particle by the displacement of the members of its family, its centre
-        first [1 / length].
+        Derivative of the value of every own particle by the displacement of the members of its family, centre first
+        [1 / length].
     """
 
     factor: Float
@@ -179,7 +178,7 @@ class EndpointMean:
 
 @dataclass(frozen=True)
 class Gradient:
-    """How numbers of some bonds change with the displacement, ``d = along de + sum_m by_m . du_m``.
+    """Derivative of values of bonds by the displacement, ``d = along de + sum_m by_m . du_m``.
 
     Attributes
     ----------
@@ -188,9 +187,9 @@ class Gradient:
     along : (n,) float64
         Derivative by the elongation of the bond itself [1 / length].
     nonlocal_part : NonlocalPart or None
-        What is left; None where the elongation of the bond says all.
+        The remaining part; None if the value depends on the elongation of the bond only.
     ends : tuple of EndpointMean
-        What is left besides, of means of both ends, each of all bonds.
+        Remaining parts of means of both ends, each for all bonds.
     """
 
     bonds: GlobalIndex
@@ -200,18 +199,18 @@ class Gradient:
 
 
 class Solid(Protocol):
-    """The gradient points of a body with their materials, as drives of strain and stress read them.
+    """Gradient points of a body with their materials, as input of strain and stress criteria.
 
-    Stresses are those without damage. The points change when bonds break, which they do at equilibrium only.
+    Stresses are those without damage. The points change if bonds break, at equilibrium only.
     """
 
     @property
     def gradients(self) -> GradientOperator:
-        """Return the gradients of the bonds that are left."""
+        """Return the gradient operator of the unbroken bonds."""
 
     @property
     def lost(self) -> Mask:
-        """Return which points are of particles that have no gradient any more (n_points,)."""
+        """Return a mask of points whose particle has no gradient any more (n_points,)."""
 
     def deformation(self, state: Any) -> Float:
         """Return the deformation gradients (n_points, dim, dim) [-] (collective)."""
@@ -220,27 +219,27 @@ class Solid(Protocol):
         """Return the laws of the points at a state (collective)."""
 
     def temperature(self, state: Any) -> Float | None:
-        """Return the temperature of the points (n_points,), None where the body has none (collective)."""
+        """Return the temperature of the points (n_points,); None if the body has none (collective)."""
 
 
 class DrivingVariable(ABC):
-    """What drives the damage of the bonds of one rank: a number for each bond, 1 where it fails.
+    """Driving variable of the damage of the bonds of one rank; damage of a bond begins at 1.
 
-    It does not depend on the damage itself, and is the same from both ends of a bond, on whichever ranks they are.
+    It does not depend on the damage, and is equal from both ends of a bond, on all ranks.
 
     Attributes
     ----------
     is_nonlocal : bool
-        Whether its gradient depends on more than the elongation of the bond; the same at every state.
+        True if its gradient depends on more than the elongation of the bond; constant for all states.
     limit : (n_bonds,) float64 or None
         Elongations of failure [length] if the driving variable is ``e / limit``, else None. The event-driven solver
-        takes such driving variables alone.
+        requires such driving variables.
     reads_points : bool
-        Whether it reads strain or stress at gradient points, which ``take`` gives it before it is used.
+        True if it reads strain or stress at gradient points, which ``take`` sets before use.
     reads_flow : bool
-        Whether it reads how materials flow, which needs deformation gradients and a material with history.
+        True if it reads plastic flow, which requires deformation gradients and a material with history.
     timed : bool
-        Whether it depends on time, for which step times must stand.
+        True if it depends on time; the load parameter is then proportional to time.
     """
 
     is_nonlocal: bool = False
@@ -254,53 +253,53 @@ class DrivingVariable(ABC):
         accept_old_methods(cls, {"reaches": "is_nonlocal"})
 
     def take(self, solid: Solid) -> None:  # noqa: B027
-        """Read the gradient points of a body from now on (not collective)."""
+        """Set the gradient points of a body (not collective)."""
 
     def commit(self, state: Displaced) -> None:  # noqa: B027
-        """Remember a converged state, before materials do (collective)."""
+        """Commit a converged state, before the materials commit (collective)."""
 
     def arrays(self) -> Mapping[str, Float]:
-        """Return what it remembers of the own particles, (n_owned, ...) by name, overwritten where a run goes on."""
+        """Return the history arrays of the own particles (n_owned, ...) by name; a restart overwrites them."""
         return {}
 
     @abstractmethod
     def at(self, state: Displaced) -> Float:
-        """Return the drive of every bond (n_bonds,) [-] as a new array (collective)."""
+        """Compute the driving variable of every bond (n_bonds,) [-] as a new array (collective)."""
 
     @abstractmethod
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
-        """Return how ``by`` times the drive of some bonds changes with the displacement (collective).
+        """Compute the derivative of ``by`` times the driving variable of bonds by the displacement (collective).
 
         Parameters
         ----------
         state
-            Where.
+            State of the body.
         bonds : (n,) int64
             The bonds, ascending.
         by : (n,) float64
-            What multiplies the derivative of each, such as that of the degradation factor by the drive [-].
+            Factor of each derivative, such as the derivative of the degradation factor by the driving variable [-].
         """
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
-        """Return how the drive of some bonds over their number on all ranks changes with the displacement (collective).
+        """Compute the derivative of the driving variable of bonds over their number on all ranks (collective).
 
-        Summed over bonds and ranks it is the gradient of their mean drive, which paths of equilibria follow.
+        The sum over bonds and ranks is the gradient of the mean driving variable, which equilibrium paths follow.
         """
         return self.gradient(state, bonds, np.full(len(bonds), 1.0 / count))
 
     def at_strain(self, strain: Float) -> Float | None:
-        """Return the drive of bonds that had these tensile strains (n_bonds,) [-] as a new array (not collective).
+        """Compute the driving variable for tensile strains of bonds (n_bonds,) [-] as a new array (not collective).
 
-        By it bonds break with the strain of a gradient that has lost some, which they themselves do not show. None, for
-        drives that see that strain anyway or cannot tell, lets none break so.
+        It is used to break bonds by the strain of a family that has lost bonds. Return None if the driving variable
+        already contains this strain or is not a function of it; no bond then breaks this way.
         """
         return None
 
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
-        """Return the energy of linear bonds where the drive is 1 (n,) [energy], and its degree in the drive [-].
+        """Return the energy of linear bonds at driving variable 1 (n,) [energy], and its degree [-].
 
-        What laws dissipate follows from it, ``-int W y^degree dT(y)``. None where the drive does not tell the energy of
-        a bond: dissipated energies are then differences of work and energy.
+        Laws dissipate ``-int W y^degree dphi(y)``, with the degradation factor ``phi``. Return None if the driving
+        variable does not determine the energy of a bond. Dissipated energies are then differences of work and energy.
 
         Parameters
         ----------
@@ -313,7 +312,7 @@ class DrivingVariable(ABC):
 
 
 class LocalDrivingVariable(DrivingVariable):
-    """A drive that is a function of the elongation of the bond itself.
+    """A driving variable that is a function of the elongation of the bond.
 
     Parameters
     ----------
@@ -326,14 +325,14 @@ class LocalDrivingVariable(DrivingVariable):
 
     @abstractmethod
     def of(self, e: Float) -> Float:
-        """Return the drive at elongations ``e`` (n_bonds,) [length] of all bonds as a new array."""
+        """Return the driving variable at elongations ``e`` (n_bonds,) [length] of all bonds as a new array."""
 
     @abstractmethod
     def along(self, e: Float, bonds: GlobalIndex, by: Float) -> Float:
-        """Return ``by dx/de`` of some bonds (n,) [1 / length], at elongations ``e`` (n_bonds,) of all."""
+        """Return ``by dx/de`` of selected bonds (n,) [1 / length], at elongations ``e`` (n_bonds,) of all bonds."""
 
     def at(self, state: Displaced) -> Float:
-        """Return the drive at the elongations of a state."""
+        """Return the driving variable at the elongations of a state."""
         return self.of(state.elongated(self._bonds.finite)[0])
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
@@ -341,12 +340,12 @@ class LocalDrivingVariable(DrivingVariable):
         return Gradient(bonds, self.along(state.elongated(self._bonds.finite)[0], bonds, by))
 
     def at_strain(self, strain: Float) -> Float | None:
-        """Return the drive at the elongations of such strains."""
+        """Return the driving variable at the elongations of these strains."""
         return self.of(strain * self._bonds.length)
 
 
 class LinearDrivingVariable(LocalDrivingVariable):
-    """The elongation over that of failure, ``x = e / limit``.
+    """Elongation over elongation of failure, ``x = e / limit``.
 
     Parameters
     ----------
@@ -378,16 +377,16 @@ class LinearDrivingVariable(LocalDrivingVariable):
 
 
 class Criterion(Declared, ABC):
-    """What drives the damage of a bond; derive a frozen dataclass from it for another one.
+    """Criterion of the damage of bonds; derive a frozen dataclass for a new criterion.
 
     Attributes
     ----------
     of_one_material : bool
-        Whether what it resolves from the bonds fits a body of one material only.
+        True if ``resolve`` supports bodies of one material only.
     reads_strain : bool
-        Whether it reads the whole strain of the gradients, with what a body expands by.
+        True if it reads the total strain of the gradients, including thermal strain and eigenstrain.
     reads_stiffness : bool
-        Whether it reads the stiffness of bonds, which materials without one Young's modulus do not have.
+        True if it reads the stiffness of bonds, which requires materials with a single Young's modulus.
     """
 
     of_one_material: ClassVar[bool] = False
@@ -396,39 +395,39 @@ class Criterion(Declared, ABC):
 
     @property
     def assumes_share(self) -> bool:
-        """Return True if it has a fracture energy without a share."""
+        """Return True if a fracture energy is declared without a share."""
         return False
 
     @property
     def reads_temperature(self) -> bool:
-        """Return whether it reads the temperature of the body."""
+        """Return True if it reads the temperature of the body."""
         return False
 
     @property
     def times(self) -> Sequence[float]:
-        """Return the time that it takes the load to last from step time 0 to 1, if it counts [time]."""
+        """Return the time from load parameter 0 to 1, if the criterion depends on it [time]."""
         duration = getattr(self, "duration", None)
         return () if duration is None else (float(duration),)
 
     @abstractmethod
     def build(self, bonds: DamageableBonds) -> DrivingVariable:
-        """Return the drive of the bonds of this rank (not collective).
+        """Build the driving variable of the bonds of this rank (not collective).
 
         Raises
         ------
         CaseError
-            The criterion does not fit the bonds; what one rank raises all raise.
+            The criterion does not fit the bonds; all ranks raise if one rank does.
         """
 
     def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> Criterion:
-        """Return the criterion with what only the bonds of the body tell, as from a fracture energy (collective).
+        """Resolve the criterion from the bonds of the body, for example a fracture energy (collective).
 
         Parameters
         ----------
         bonds : DamageableBonds
             The bonds.
         toughness : callable
-            Energy that breaking a linear bond takes over its elastic energy where the drive is 1 [-], for the degree of
-            the elastic energy in the drive (``BondDamage.toughness``).
+            Energy of breaking a linear bond over its elastic energy at driving variable 1 [-], as a function of the
+            degree of the elastic energy in the driving variable (``BondDamage.toughness``).
         """
         return self

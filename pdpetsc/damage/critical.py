@@ -1,4 +1,4 @@
-"""Critical stretch of a bond as a function of its length and place: damage is driven by ``x = s / s_c``."""
+"""Critical stretch of a bond as a function of its length and position: driving variable ``x = s / s_c``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdpetsc.errors import CaseError
 
 
 class CriticalStretch(Criterion):
-    """The stretch at which a bond fails: the drive is the stretch over it, ``x = s / s_c``, negative in compression."""
+    """Critical stretch of a bond: the driving variable is ``x = s / s_c``, negative in compression."""
 
     def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
         """Return ``e / (s_c |xi|)``.
@@ -37,7 +37,7 @@ class CriticalStretch(Criterion):
 
     @abstractmethod
     def __call__(self, length: Float, middle: Float) -> Float:
-        """Return the critical stretch (n_bonds,) [-].
+        """Compute the critical stretch (n_bonds,) [-].
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class CriticalFunction(CriticalStretch):
     reads_stiffness: ClassVar[bool] = False
 
     def __call__(self, length: Float, middle: Float) -> Float:
-        """Return what the function returns."""
+        """Return the values of the function."""
         if len(length) == 0:
             return np.zeros(0)
         values = numbers_from("critical stretch", self.function, length, middle)
@@ -130,12 +130,12 @@ class CriticalFunction(CriticalStretch):
 
 @dataclass(frozen=True, eq=False)
 class CriticalOfBonds(CriticalStretch):
-    """The critical stretches of a fracture energy where materials or horizons differ.
+    """Critical stretches of a fracture energy for different materials or horizons.
 
     Parameters
     ----------
     stretch : (n_bonds,) float64
-        Critical stretch of every bond of the body that it was resolved for [-].
+        Critical stretch of every bond of the body for which it was resolved [-].
     """
 
     stretch: Any
@@ -145,30 +145,31 @@ class CriticalOfBonds(CriticalStretch):
         return LinearDrivingVariable(bonds, np.asarray(self.stretch * bonds.length))
 
     def __call__(self, length: Float, middle: Float) -> Float:
-        """Refuse: lengths and places do not tell the bonds."""
+        """Raise an error: lengths and positions do not identify the bonds."""
         raise CaseError("The critical stretches of a fracture energy follow materials and horizons, which differ.")
 
 
 @dataclass(frozen=True)
 class FractureEnergy(CriticalStretch):
-    """Critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
+    """Critical stretch for which breaking every bond across a unit area requires the energy ``Gc``.
 
-    The energy is the sum over the bonds of the body, with its influence function, horizon and law of damage, in the
-    volume-weighted mean over the particles further than a horizon from the surface and over planes normal to the
-    coordinate axes. In a thin body, in which no particle is that far inside, planes are those across its long axes,
-    with the families that its faces cut. For deformation gradients, whose bonds have no energy of their own, and for
-    bonds with a dilatation, it is the energy of the bond-based material with the same E.
+    The energy is the sum over the bonds of the body, with their influence function, horizon and damage law. It is a
+    volume-weighted mean over the particles further than a horizon from the surface, and over planes normal to the
+    coordinate axes. In a thin body no particle is that far inside; planes across its long axes are used, with the
+    families that its faces cut. For deformation gradients, whose bonds have no energy, and for bonds with a dilatation,
+    it is the energy of the bond-based material with the same E.
 
-    The square of the critical stretch is proportional to 1 / horizon. A bond between horizons or materials has the mean
-    of the squares of both ends, weighted with its stiffness from each end. Between two materials a plane takes Gc.
+    The square of the critical stretch is proportional to 1 / horizon. A bond between different horizons or materials
+    has the mean of the squares of both ends, weighted with its stiffness from each end. A plane between two materials
+    requires Gc.
 
     Parameters
     ----------
     Gc : float
         Fracture energy [energy / area], positive.
     share : float, optional
-        Energy that a running crack takes over that of a plane of bonds [-]: bonds have the energy ``Gc / share``. 1 by
-        default. Without a share a run warns if cracks of its model are known to take another energy than Gc.
+        Energy of a propagating crack over that of a plane of bonds [-]: bonds have the energy ``Gc / share``. 1 by
+        default. Without a share a run warns if the energy of cracks of its model is known to differ from Gc.
 
     Raises
     ------
@@ -186,14 +187,14 @@ class FractureEnergy(CriticalStretch):
 
     @property
     def assumes_share(self) -> bool:
-        """Return whether no share was given."""
+        """Return True if no share is declared."""
         return self.share is None
 
     def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> CriticalStretch:
-        """Return the critical stretch for the bonds of the body (collective).
+        """Compute the critical stretch for the bonds of the body (collective).
 
-        ``s_i^2 = Gc / (G m_i d_i)`` with the horizon ``d_i`` of the particle, the plane energy ``G`` of bonds with the
-        energy ``omega |xi| V_i V_j / d_i^(dim + 2)`` from one end, and the ratio ``m_i`` of the energies of its
+        ``s_i^2 = Gc / (G m_i d_i)`` with the horizon ``d_i`` of the particle. ``G`` is the plane energy of bonds with
+        the energy ``omega |xi| V_i V_j / d_i^(dim + 2)`` from one end. ``m_i`` is the ratio of the energies of its
         material at a stretch of 1 to ``omega |xi| V_i V_j / d_i^(dim + 1)``. A bond has the mean of the squares of both
         ends, weighted with its stiffness from each: each end contributes its part of the energy.
         """
@@ -209,7 +210,7 @@ class FractureEnergy(CriticalStretch):
         square = self.Gc / (self.share or 1.0) / (G * material * cloud.local_horizon)
         both = bonds.k + bonds.opposite.of(bonds.k)
         ours = np.divide(bonds.k, both, out=np.full(len(both), 0.5), where=both > 0.0)
-        # One number stays the same number.
+        # One number for all bonds.
         stretch = np.sqrt(square[j] + ours * (square[i] - square[j]))
         comm = bonds.cloud.comm
         least, most = (
@@ -218,15 +219,15 @@ class FractureEnergy(CriticalStretch):
         return ConstantCritical(most) if least == most else CriticalOfBonds(stretch)
 
     def at_strength(self, bonds: DamageableBonds, strength: float) -> tuple[ConstantCritical, float]:
-        """Return the critical stretch of a strength, and the last one over it, if forces fall linearly (collective).
+        """Compute critical stretch and ratio of linear softening from a strength (collective).
 
-        A plane of bonds that all have their largest force ``k s_c |xi|`` carries the strength. Softening to r times the
-        critical stretch takes r times the energy of bonds that snap there.
+        A plane of bonds that all have their largest force ``k s_c |xi|`` carries the strength. Softening up to r times
+        the critical stretch requires r times the energy of bonds that snap at the critical stretch.
 
         Raises
         ------
         CaseError
-            Bonds that snap take the fracture energy at a lower stress, or their critical stretches differ.
+            Bonds that snap have the fracture energy at a lower stress, or their critical stretches differ.
         """
         snapping = self.resolve(bonds, lambda degree: 1.0)
         if not isinstance(snapping, ConstantCritical):
@@ -245,14 +246,14 @@ class FractureEnergy(CriticalStretch):
         return ConstantCritical(critical), ratio
 
     def __call__(self, length: Float, middle: Float) -> Float:
-        """Refuse: it is resolved into a number once the stiffness of the bonds is known."""
+        """Raise an error: ``resolve`` computes the number from the stiffness of the bonds."""
         raise CaseError("A fracture energy gives a critical stretch in a case only, where the bonds are known.")
 
 
 def _moduli(bonds: DamageableBonds, weight: Float, energy: Float, unit: Float) -> Float:
-    """Return the energy of bonds over that of unit bonds for each material (collective).
+    """Compute the energy of bonds over that of unit bonds for each material (collective).
 
-    It is that of planes through the particles inside, or of all bonds of a material that has no particle there.
+    It is that of planes through inner particles, or of all bonds if a material has no inner particle.
     """
     count = 1 + int(largest(bonds.cloud.comm, float(bonds.material_of.max(initial=0))))
     number = bonds.material_of[bonds.families.centres]

@@ -1,4 +1,4 @@
-"""Damage that is driven by the energy of a bond, and what breaking the bonds across a plane takes."""
+"""Damage criterion of the energy of a bond, and the energy of breaking all bonds across a plane."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pdpetsc.errors import CaseError
 
 
 def plane_weights(bonds: DamageableBonds, power: int = 1) -> Float:
-    """Return the weights of bonds in the energy that breaking all bonds across a unit area takes (n_bonds,).
+    """Compute the weights of bonds in the energy of breaking all bonds across a unit area (n_bonds,).
 
     ``G = sum_i sum_j a_ij w_ij`` over all ranks with the energy ``w_ij`` of a bond from one end and the weight
     ``a_ij = |xi_a| / sum_i V_i`` of the particles inside along an axis ``a``: the mean over all planes normal to the
-    axis. Weights are means over the axes, in a thin body over its long ones (``Interior``) [1 / length^2]. With the
-    power 2 they are those of ``|xi_a|^2``: what the stiffnesses of bonds add to the traction at a stretch of 1.
+    axis. Weights are means over the axes, in a thin body over its long axes (``Interior``) [1 / length^2]. With the
+    power 2 they contain ``|xi_a|^2``: the contribution of bond stiffness to the traction at a stretch of 1.
 
     Raises
     ------
@@ -67,24 +67,24 @@ class _EitherWay(LocalDrivingVariable):
 
 @dataclass(frozen=True)
 class BondEnergy(Criterion):
-    """A bond fails with the energy that it stores: ``x = sqrt(w / w_c)``, ``w = 1/2 (k_ij + k_ji) e^2 / (V_i V_j)``.
+    """A bond fails by its stored energy: ``x = sqrt(w / w_c)``, ``w = 1/2 (k_ij + k_ji) e^2 / (V_i V_j)``.
 
-    ``w`` is the energy of the bond over the volumes of both ends; the drive is its root, so that laws mean forces over
-    elongations as with a critical stretch. Give ``w`` itself, or the fracture energy ``Gc`` from which it follows:
-    breaking all bonds across a unit area takes Gc, summed over the bonds of the body with their influence, horizon and
-    law. Bonds of deformation gradients, and those with a dilatation, have the energy of the bond-based material with
-    the same E. Shortened bonds do not fail unless ``compression`` is asked for.
+    ``w`` is the energy of the bond over the volumes of both ends. The driving variable is its root, so that damage laws
+    are functions of the elongation as with a critical stretch. Declare ``w_c`` as ``w``, or the fracture energy ``Gc``:
+    breaking all bonds across a unit area then requires Gc, summed over the bonds of the body with their influence,
+    horizon and damage law. Bonds of deformation gradients, and bonds with a dilatation, have the energy of the
+    bond-based material with the same E. Shortened bonds do not fail unless ``compression`` is True.
 
     Parameters
     ----------
     w : float, optional
         Critical energy density of a bond [energy / length^6], positive.
     Gc : float, optional
-        Fracture energy [energy / area], positive; one of the two.
+        Fracture energy [energy / area], positive; exactly one of ``w`` and ``Gc``.
     compression : bool
-        Whether bonds that shorten fail as well.
+        True if shortened bonds fail as well.
     share : float, optional
-        Energy that a running crack takes over that of a plane of bonds [-], as in ``FractureEnergy``; 1 by default.
+        Energy of a propagating crack over that of a plane of bonds [-], as in ``FractureEnergy``; 1 by default.
 
     References
     ----------
@@ -110,11 +110,11 @@ class BondEnergy(Criterion):
 
     @property
     def assumes_share(self) -> bool:
-        """Return True if Gc was given without a share."""
+        """Return True if ``Gc`` is declared without a share."""
         return self.Gc is not None and self.share is None
 
     def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> Criterion:
-        """Return the criterion with the elongations of failure of the bonds (collective)."""
+        """Compute the elongations of failure of the bonds (collective)."""
         both = bonds.k + bonds.opposite.of(bonds.k)
         volume, i, j = bonds.cloud.volume, bonds.families.centres, bonds.families.neighbours
         pair = np.where(both > 0.0, volume[i] * volume[j], 0.0)
@@ -122,28 +122,28 @@ class BondEnergy(Criterion):
             w = np.full(len(both), self.w)
         else:
             assert self.Gc is not None
-            # Breaking a bond takes half of it from either end, whatever its stiffness, and nothing from one that does
-            # not reach it; G grows with this power of the horizon.
+            # Each end contributes half of the energy of a bond, for any stiffness, or nothing if the bond is outside
+            # its horizon. G is proportional to this power of the horizon.
             reach, power = bonds.cloud.local_horizon, bonds.cloud.dim + 1.0
             half = np.where(bonds.k > 0.0, 0.5 / reach[i] ** power, 0.0)
             G = float(total(bonds.cloud.comm, plane_weights(bonds) @ (toughness(2.0) * pair * half)))
             w = self.Gc / (self.share or 1.0) / G * (half + bonds.opposite.of(half))
-        # A bond without stiffness stores nothing and does not fail.
+        # A bond without stiffness stores no energy and does not fail.
         square = np.divide(2.0 * w * pair, both, out=np.full(len(both), np.inf), where=both > 0.0)
         return _Limited(np.sqrt(square), self.compression)
 
     def build(self, bonds: DamageableBonds) -> LocalDrivingVariable:
-        """Refuse: it is resolved first, with the stiffness of both ends."""
+        """Raise an error: ``resolve`` is called first, with the stiffness of both ends."""
         raise CaseError("A bond energy is known in a case only, where the bonds are.")
 
 
 @dataclass(frozen=True, eq=False)
 class _Limited(Criterion):
-    """Elongations of failure (n_bonds,) [length] of the bonds that it was resolved for."""
+    """Elongations of failure (n_bonds,) [length] of the bonds for which it was resolved."""
 
     limit: Any
     compression: bool
 
     def build(self, bonds: DamageableBonds) -> LocalDrivingVariable:
-        """Return ``e / limit``, or its size."""
+        """Return ``e / limit``, or its absolute value."""
         return (_EitherWay if self.compression else LinearDrivingVariable)(bonds, self.limit)

@@ -1,4 +1,4 @@
-"""What the degradation factor of bonds does to the force states of deformation gradients."""
+"""Damage evolution: effect of the degradation factor of bonds on force states and control, and breaking of bonds."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pdpetsc.renamed import accept_old_methods
 
 
 class DamageEvolution(Declared, ABC):
-    """How force states ``T_s omega P K^-1 xi`` and the zero-energy control fade with their bonds, and when these break.
+    """Degradation of force states ``T_s omega P K^-1 xi`` and of the zero-energy control, and breaking of bonds.
 
-    A bond has the degradation factor ``T_s`` of the law at its present drive or the one that was kept at the last
-    equilibrium. Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
-    and gradient.
+    The degradation factor ``T_s`` of a bond is that of the law at its present driving variable, or that of the last
+    equilibrium. For every evolution, bonds break at equilibrium only, and a broken bond leaves shape tensor and
+    gradient.
     """
 
     def __init_subclass__(cls) -> None:
@@ -27,50 +27,50 @@ class DamageEvolution(Declared, ABC):
     @property
     @abstractmethod
     def reversible(self) -> bool:
-        """Return whether a bond that has not broken regains force as it is driven less."""
+        """Return True if an unbroken bond regains force if its driving variable decreases."""
 
     @property
     @abstractmethod
     def breaks_by_family_strain(self) -> bool:
-        """Return whether bonds also break with the strain of a gradient that has lost some, besides their drive."""
+        """Return True if bonds also break by the strain of a family that has lost bonds."""
 
     @abstractmethod
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return which bonds have the degradation factor of the present drive (n_bonds,), not the kept one."""
+        """Return a mask of bonds with the present degradation factor (n_bonds,), not the committed one."""
 
     @abstractmethod
     def reached(self, x: Float, kappa: Float) -> Float:
-        """Return the drive by which a bond is judged to break (n_bonds,) [-].
+        """Return the driving variable that decides whether a bond breaks (n_bonds,) [-].
 
         Parameters
         ----------
-        x, worst : (n_bonds,) float64
-            The present one, and the largest that was kept at an equilibrium.
+        x, kappa : (n_bonds,) float64
+            Present driving variable, and the largest one of earlier equilibria.
         """
 
     @abstractmethod
     def volume_left(self, share: Float) -> Float:
-        """Return the share of the volume of a particle that has ``share`` (n,) of its family left [-]."""
+        """Return the effective share of the volume of a particle with ``share`` (n,) of its family left [-]."""
 
     @abstractmethod
     def of_control(self, kept: Float) -> Float:
-        """Return what the stiffness of the control's bonds is multiplied with (n_bonds,) [-], in its gradient too.
+        """Return the factor of the stiffness of bonds in the control and its gradient (n_bonds,) [-].
 
-        It follows from the degradation factors ``kept`` at the last equilibrium, and stays until the next one.
+        It depends on the degradation factors ``kept`` of the last equilibrium, and is constant until the next one.
         """
 
     @abstractmethod
     def fading(self, phi: Float) -> Float | None:
-        """Return what multiplies the control's forces besides, now (n_bonds,) [-]; None for nothing."""
+        """Return the present additional factor of the forces of the control (n_bonds,) [-]; None for no factor."""
 
 
 @dataclass(frozen=True)
 class LargestStretch(DamageEvolution):
-    """The degradation factor is that of the largest drive so far: what a bond has lost it does not regain.
+    """Irreversible damage: the degradation factor is that of the largest driving variable so far.
 
-    The control has the degradation factor of the last equilibrium in its stiffness and in the gradient that it measures
-    from. A bond that breaks takes its share of the particle's volume with it, so that the force states of the others
-    stay as they were, and bonds that lie across the pull break with the strain of the gradient.
+    The stiffness of the control and its gradient contain the degradation factor of the last equilibrium. If a bond
+    breaks, its share of the volume of the particle is lost, so that the force states of the other bonds do not change.
+    Bonds transverse to the tension break by the strain of the family.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class LargestStretch(DamageEvolution):
         return True
 
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return where the present degradation factor is below the kept one."""
+        """Return True for bonds whose present degradation factor is below the committed one."""
         return np.asarray(present < kept)
 
     def reached(self, x: Float, kappa: Float) -> Float:
@@ -111,12 +111,14 @@ class LargestStretch(DamageEvolution):
 
 @dataclass(frozen=True)
 class PresentStretch(DamageEvolution):
-    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the ``phi`` of the present drive everywhere.
+    """Reversible damage as published: ``T = T_s (omega P K^-1 xi + omega T_z)``.
 
-    The control fades with its bonds at once, with the derivative of that in the tangent, and measures from the gradient
-    of the bonds that have not broken. Bonds break at their critical stretch and for no other reason. Particles keep
-    their whole volume, so the stress of those that have lost bonds is carried by the bonds that are left. Until it
-    breaks a bond regains what it had lost when it shortens.
+    ``T_s`` is the degradation factor of the present driving variable.
+
+    The degradation factor multiplies the forces of the control immediately, and its derivative is part of the tangent.
+    The gradient of the control contains the unbroken bonds. Bonds break by their critical stretch only. Particles keep
+    their whole volume, so the remaining bonds of a particle carry its stress. An unbroken bond regains its force if it
+    shortens.
 
     Examples
     --------
@@ -144,7 +146,7 @@ class PresentStretch(DamageEvolution):
         return np.ones(len(present), dtype=bool)
 
     def reached(self, x: Float, kappa: Float) -> Float:
-        """Return the present drive."""
+        """Return the present driving variable."""
         return x
 
     def volume_left(self, share: Float) -> Float:
@@ -152,7 +154,7 @@ class PresentStretch(DamageEvolution):
         return np.ones_like(share)
 
     def of_control(self, kept: Float) -> Float:
-        """Return 1 where bonds are not broken."""
+        """Return 1 for unbroken bonds, else 0."""
         return np.asarray(kept > 0.0, dtype=np.float64)
 
     def fading(self, phi: Float) -> Float | None:

@@ -1,4 +1,4 @@
-"""How a bond loses its force as what drives its damage grows."""
+"""Damage laws of bonds: degradation factor as a function of the driving variable."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from pdpetsc.renamed import accept_old_methods
 # Points of the quadrature of the dissipated energy.
 QUADRATURE = 40
 
-# A driving variable at which a softening bond fails further: above the one at which damage begins.
+# Smallest driving variable at which a softening bond fails further: above the onset.
 AboveOne: TypeAlias = Annotated[
     float, Bound(("a finite number above 1", "finite numbers above 1"), lambda x: math.isfinite(x) and x > 1.0)
 ]
 
 
-# Marks the local particles in a region (n_local,); the text says what of (collective).
+# Marks the local particles in a region (n_local,); the text names the region in messages (collective).
 Marking: TypeAlias = Callable[[Region, str], Mask]
 
 
 def bonds_at(region: Region | None, bonds: DamageableBonds, mark: Marking) -> Mask:
-    """Return which bonds have an end in a protected region (n_bonds,), none without a region (collective)."""
+    """Return a mask of bonds with an end in a protected region (n_bonds,); none without a region (collective)."""
     if region is None:
         return np.zeros(bonds.families.n_bonds, dtype=bool)
     marked = mark(region, "what damage is protected from")
@@ -43,27 +43,27 @@ def bonds_at(region: Region | None, bonds: DamageableBonds, mark: Marking) -> Ma
 
 @dataclass(frozen=True)
 class BondDamage(Declared, ABC):
-    """A bond keeps its force until the drive of its damage is 1 and loses it beyond; what it lost it does not regain.
+    """Damage law of bonds: the force of a bond decreases if its driving variable exceeds 1.
 
-    Its state is the degradation factor ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the
-    largest drive ``x`` that the bond has had, unless ``effect`` says otherwise. The drive of a critical stretch is the
-    stretch over it, ``x = s / s_c``: compression does no damage. What the laws below say of forces and critical
-    stretches is for drives that are linear in the elongation; with another one ``T`` is the same function of x. Derive
-    from it for another law.
+    The degradation factor ``phi`` multiplies the force of a bond: 1 intact, 0 broken. By default it is a function of
+    the largest driving variable ``x`` so far, so that damage is irreversible; ``effect`` can change this. For a
+    critical stretch ``x = s / s_c``: compression causes no damage. The laws below describe forces and critical
+    stretches for driving variables that are linear in the elongation. For other driving variables ``phi`` is the same
+    function of x. Derive from this class for a new law.
 
     Parameters
     ----------
     criterion : Criterion
-        What drives the damage, such as a critical stretch.
+        Criterion of the damage, such as a critical stretch.
     protected : Region, optional
-        Bonds with an end in it do not fail.
-    effect : DamageEffect
-        How the degradation factor enters the force states of deformation gradients; ``PresentStretch()`` as published
-        by Hashim et al. Bodies of bonds take the default alone.
+        Bonds with an end in this region do not fail.
+    effect : DamageEvolution
+        Evolution of damage, and its effect on the force states of deformation gradients. ``PresentStretch()`` is that
+        of Hashim et al. Bond materials support the default only.
     closes : bool
-        Whether cracks that close carry compression: a bond that is shorter than at the start has its whole stiffness,
-        however damaged or broken it is. Of bond-based materials alone; the ends of the bond are those that it had, so
-        that faces which slide past each other by more than a spacing need contact.
+        True if closed cracks carry compression: a shortened bond has its full stiffness, even if it is damaged or
+        broken. For bond materials only. The ends of the bond do not change, so faces that slide past each other by more
+        than a spacing require contact.
     """
 
     criterion: Criterion
@@ -85,39 +85,39 @@ class BondDamage(Declared, ABC):
 
     @property
     def declared(self) -> list[BondDamage]:
-        """Return the laws of bonds that fail: this one."""
+        """Return the laws of bonds that fail: this law."""
         return [self]
 
     @property
     def onset(self) -> float:
-        """Return x where the degradation factor begins to fall [-]: where the drive is 1."""
+        """Return the driving variable at which the degradation factor begins to decrease [-]: 1."""
         return 1.0
 
     @property
     @abstractmethod
     def final(self) -> float:
-        """Return x where the bond breaks [-]."""
+        """Return the driving variable at which the bond breaks [-]."""
 
     @abstractmethod
     def phi(self, x: Float) -> Float:
-        """Return ``T`` (n,) [-] for x between onset and final."""
+        """Compute the degradation factor (n,) [-] for x between onset and final."""
 
     @abstractmethod
     def slope(self, x: Float) -> Float:
-        """Return ``dT/dx`` (n,) [-] for x between onset and final."""
+        """Compute ``dphi/dx`` (n,) [-] for x between onset and final."""
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
-        """Return what linear bonds that have reached x have dissipated (n,) [energy].
+        """Compute the energy that linear bonds have dissipated up to x (n,) [energy].
 
-        ``-int W y^degree dT(y)`` up to x, with the jumps of T at its ends.
+        ``-int W y^degree dphi(y)`` up to x, with the jumps of ``phi`` at onset and final.
 
         Parameters
         ----------
         phi, x, energy : (n,) float64
-            Degradation factor [-], largest drive [-], elastic energy ``W`` of the intact bond where the drive is 1
-            [energy].
+            Degradation factor [-], largest driving variable [-], elastic energy ``W`` of the intact bond at driving
+            variable 1 [energy].
         degree : float
-            With which power of the drive that energy grows [-].
+            Power of the driving variable in that energy [-].
         """
         points, weights = scipy.special.roots_legendre(QUADRATURE)
         one, last = np.array([self.onset]), np.array([self.final])
@@ -131,28 +131,28 @@ class BondDamage(Declared, ABC):
         return np.asarray(energy * lost)
 
     def toughness(self, degree: float) -> float:
-        """Return the energy that breaking a bond takes over its elastic energy where the drive is 1 [-].
+        """Compute the energy of breaking a bond over its elastic energy at driving variable 1 [-].
 
         Parameters
         ----------
         degree : float
-            With which power of the drive the elastic energy grows [-].
+            Power of the driving variable in the elastic energy [-].
         """
         one = np.ones(1)
         return float(self.dissipated(0.0 * one, self.final * one, one, degree)[0])
 
     @property
     def all_laws(self) -> list[BondDamage]:
-        """Return the law itself, as ``DamageOf`` returns its laws."""
+        """Return a list of this law, as ``DamageOf`` returns its laws."""
         return [self]
 
     @property
     def point_laws(self) -> list[Any]:
-        """Return no laws: this is a law of bonds."""
+        """Return an empty list: this is a law of bonds."""
         return []
 
     def rehearsed(self) -> BondDamage:
-        """Return damage of another body with which its loops can be compiled."""
+        """Return the law for a small body on which its loops are compiled."""
         return LinearSoftening(ConstantCritical(1.0), effect=self.effect)
 
     def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
@@ -163,25 +163,25 @@ class BondDamage(Declared, ABC):
 
     @property
     def places(self) -> list[tuple[str, Region]]:
-        """Return its regions with what they are."""
+        """Return its regions with their descriptions."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]
 
     def resolved(self, bonds: DamageableBonds) -> BondDamage:
-        """Return the law whose criterion knows the bonds of the body (collective)."""
+        """Return the law with the criterion resolved for the bonds of the body (collective)."""
         criterion = self.criterion.resolve(bonds, self.toughness)
         return self if criterion is self.criterion else replace(self, criterion=criterion)
 
     @property
     def pieces(self) -> list[float]:
-        """Return the ends of the parts of the law that are smooth, from onset to final [-]."""
+        """Return the ends of the smooth parts of the law, from onset to final [-]."""
         return [self.onset, self.final]
 
 
 @dataclass(frozen=True)
 class PiecewiseLinear(BondDamage):
-    """A law whose force falls linearly to zero at the drive ``final``, 1 for a bond that snaps; events can follow it.
+    """A law whose force decreases linearly to zero at ``final``, 1 for a bond that snaps; events support it.
 
-    The drive is linear in the elongation of the bond.
+    The driving variable is linear in the elongation of the bond.
     """
 
     def phi(self, x: Float) -> Float:
@@ -195,7 +195,7 @@ class PiecewiseLinear(BondDamage):
         return np.zeros_like(x) if r == 1.0 else np.asarray(-r / ((r - 1.0) * x**2))
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
-        """Return what linear bonds have dissipated (n,) [energy]; from their degradation factor alone for degree 2."""
+        """Compute the dissipated energy of linear bonds (n,) [energy]; closed form in ``phi`` for degree 2."""
         if degree != 2.0:
             return super().dissipated(phi, x, energy, degree)
         y = reached(phi, self.final)
@@ -204,9 +204,9 @@ class PiecewiseLinear(BondDamage):
 
 
 def reached(phi: Float, final: Float | float) -> Float:
-    """Return x at which bonds of ``PiecewiseLinear`` laws with this degradation factor fail further (n,) [-].
+    """Compute x at which bonds of ``PiecewiseLinear`` laws with this degradation factor fail further (n,) [-].
 
-    On the envelope ``q = k l (r - x) / (r - 1)``, with the final drive ``r``, ``q = T k l x``.
+    On the envelope ``q = k l (r - x) / (r - 1)``, with the final driving variable ``r``, ``q = T k l x``.
     """
     return np.asarray(final / (1.0 + phi * (final - 1.0)))
 
@@ -234,22 +234,22 @@ class Brittle(PiecewiseLinear):
 
 @dataclass(frozen=True)
 class LinearSoftening(PiecewiseLinear):
-    """The force falls linearly from the critical stretch to zero at ``ratio`` times that.
+    """The force decreases linearly from the critical stretch to zero at ``ratio`` times that stretch.
 
     Parameters
     ----------
     ratio : float, optional
         Above 1; 2 by default.
     strength : float, optional
-        Instead of a ratio, the largest traction of a plane that opens [stress], of bond-based materials with
-        ``FractureEnergy``. The critical stretch follows from the strength, the ratio then from the fracture energy.
-        Bonds across the plane reach their largest forces together only if they soften slowly: on a square lattice
-        with a horizon of 3 spacings the traction is .78 of the strength at a ratio of 3, .92 at 10, .98 at 60.
+        Instead of a ratio, the largest traction of an opening plane [stress], for bond-based materials with
+        ``FractureEnergy``. The strength determines the critical stretch, then the fracture energy the ratio. Bonds
+        across the plane reach their largest forces together only if they soften slowly: on a square lattice with a
+        horizon of 3 spacings the traction is .78 of the strength at a ratio of 3, .92 at 10, .98 at 60.
 
     Raises
     ------
     CaseError
-        Ratio and strength are both given, or a strength without ``FractureEnergy``. In a case: the strength is too
+        Ratio and strength are both declared, or a strength without ``FractureEnergy``. In a case: the strength is too
         high for the fracture energy and the horizon, or materials or horizons of the bonds differ.
 
     Examples
@@ -274,7 +274,7 @@ class LinearSoftening(PiecewiseLinear):
 
     @property
     def final(self) -> float:
-        """Return the ratio; infinite if a strength decides about it that no bonds are known for."""
+        """Return the ratio; infinite if a strength is declared and not resolved yet."""
         if self.strength is not None:
             return math.inf
         return 2.0 if self.ratio is None else self.ratio
@@ -290,7 +290,7 @@ class LinearSoftening(PiecewiseLinear):
 
 @dataclass(frozen=True)
 class ExponentialSoftening(BondDamage):
-    """The force falls as ``exp(-rate (x - 1))``, shifted to be zero at ``ratio`` times the critical stretch.
+    """The force decreases as ``exp(-rate (x - 1))``, shifted to zero at ``ratio`` times the critical stretch.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ class ExponentialSoftening(BondDamage):
 
 @dataclass(frozen=True)
 class BilinearSoftening(BondDamage):
-    """The force falls linearly to ``share`` of its largest value at ``kink``, then linearly to zero at ``ratio``.
+    """The force decreases linearly to ``share`` of its largest value at ``kink``, then linearly to zero at ``ratio``.
 
     Parameters
     ----------
@@ -380,7 +380,8 @@ class SmoothDegradation(BondDamage):
     beta : float
         Positive.
     continuous : bool
-        Rescale it to go from 1 to 0; as published it jumps by ``1/2 (1 - tanh beta)`` at both ends, 0.0025 for beta 3.
+        True rescales the factor to go from 1 to 0; as published it jumps by ``1/2 (1 - tanh beta)`` at both ends,
+        0.0025 for beta 3.
 
     Examples
     --------

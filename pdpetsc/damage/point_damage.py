@@ -19,7 +19,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.material.base import LARGEST_MODULUS
 from pdpetsc.material.split import NoTension, Split
 
-# An onset that no fracture energy is too small for [-].
+# An onset that is admissible for every fracture energy [-].
 SMALL = 1e-6
 
 
@@ -27,41 +27,40 @@ SMALL = 1e-6
 class PointDamage(Declared):
     r"""The energy of a gradient point is ``phi(x) (psi_open + psi_control) + psi_closed``.
 
-    The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, the energy that damage takes away, and
-    ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows from 1 to ``r``,
-    ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every point whose
-    family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family across the crack at
-    onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted. The normal of the crack is
-    the direction in which the families about the point have the largest relative displacements.
+    The drive is ``x = sqrt(Y / Y_0)`` with ``Y = psi_open + psi_control``, the energy that damage reduces. ``Y_0`` is
+    ``psi_open`` in uniaxial tension at the strength. The stress follows the softening curve as x increases from 1 to
+    ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every point whose
+    family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the crack at onset:
+    ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. There are no fitted parameters. The normal of the crack
+    is the direction of the largest relative displacements in the families around the point.
 
-    Gradients and weights stay those of the intact body. All forces derive from the energy, and the tangent is
-    symmetric where that of the material is. The energy of a material that flows is what it stores and what flow has
-    taken, together.
+    Gradients and weights are those of the intact body. All forces derive from the energy, and the tangent is symmetric
+    if that of the material is. The energy of a material that flows is stored energy plus plastic work.
 
     Parameters
     ----------
     curve : SofteningCurve
         Shape of the stress over the strain, such as ``pd.softening.Linear()``.
     Gc : float or callable
-        Energy of a crack per area [energy / area], positive. A function ``Gc(x, normal)`` of places (n, dim) and unit
-        vectors across the crack (n, dim) returns numbers (n,).
+        Energy of a crack per area [energy / area], positive. A function ``Gc(x, normal)`` of positions (n, dim) and
+        unit normals of the crack (n, dim) returns values (n,).
     strength : float or callable, optional
-        Stress at which a bar begins to fail [stress], positive; a function ``strength(x)`` returns numbers (n,). It is
-        that of the moduli without a temperature: a ``Thermal`` factor f of the moduli makes it ``sqrt(f)`` times this.
+        Stress at which a bar begins to fail [stress], positive; a function ``strength(x)`` returns values (n,). It is
+        valid for the moduli at the reference: a ``Thermal`` factor f of the moduli multiplies it by ``sqrt(f)``.
     onset : float or callable, optional
-        Instead of a strength, the strain at which a bar begins to fail [-], positive, or a function of places.
+        Instead of a strength, the strain at which a bar begins to fail [-], positive, or a function of positions.
     split : Split
-        Which part of the energy a crack that closes keeps: ``pd.split.NoTension()``, ``Volumetric()``, ``Spectral()``
-        or ``Whole()``, which keeps nothing.
+        Part of the energy that a closed crack retains: ``pd.split.NoTension()``, ``Volumetric()``, ``Spectral()``, or
+        ``Whole()`` for no such part.
     protected : Region, optional
-        Points of particles in it do not fail. A crack needs two horizons beside it: points that may not fail hold the
-        faces of a crack that they reach across.
+        Points of particles in this region do not fail. Leave two horizons beside a crack: protected points hold the
+        faces of a crack within their families.
 
     Raises
     ------
     CaseError
-        Not one of strength and onset is given; in a case, the strength is too high for Gc and the horizon, the split
-        cannot be made of a material, or a function does not return positive numbers.
+        Neither or both of strength and onset are declared. In a case: the strength is too high for Gc and the horizon,
+        a material does not support the split, or a function does not return positive values.
 
     Examples
     --------
@@ -88,12 +87,12 @@ class PointDamage(Declared):
 
     @property
     def places(self) -> list[tuple[str, Region]]:
-        """Return its regions with what they are."""
+        """Return its regions with their descriptions."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]
 
     @property
     def point_laws(self) -> list[PointDamage]:
-        """Return the law itself, as ``DamageOf`` returns its laws."""
+        """Return a list of this law, as ``DamageOf`` returns its laws."""
         return [self]
 
     def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
@@ -101,11 +100,11 @@ class PointDamage(Declared):
         return without_protected(np.zeros(cloud.n_owned, dtype=np.int64), self.point_laws, None, mark)
 
     def rehearsed(self) -> PointDamage:
-        """Return damage of another body with which its loops can be compiled."""
+        """Return the law for a small body on which its loops are compiled."""
         return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
 
     def onset_energy(self, E: Float, x: Float) -> Float:
-        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] at places x (n, dim).
+        """Compute the energy of uniaxial tension at the onset (n,) [energy / volume] at positions x (n, dim).
 
         ``E`` (n,) are Young's moduli there [stress].
         """
@@ -114,7 +113,7 @@ class PointDamage(Declared):
         return np.asarray(0.5 * _numbers("strength of PointDamage", self.strength, x) ** 2 / E)
 
     def crack_energy(self, x: Float, normal: Float) -> Float:
-        """Return Gc (n,) [energy / area] at places for cracks across unit vectors, both (n, dim)."""
+        """Compute Gc (n,) [energy / area] at positions for cracks with unit normals, both (n, dim)."""
         return _numbers("Gc of PointDamage", self.Gc, x, normal)
 
 
@@ -128,9 +127,9 @@ def without_protected(
     of_particle : (n_owned,) int64
         The number of the law of each particle, -1 if it does not fail.
     laws : sequence of PointDamage
-        Each protects particles among its own.
+        Laws, each with its own protected region.
     protected : Region or None
-        Particles of any law that do not fail.
+        Region in which no law applies.
     mark : callable
         Marks the local particles in a region (n_local,).
     """
@@ -145,12 +144,12 @@ def without_protected(
 
 @dataclass(frozen=True)
 class CurvesAtPoints:
-    """Softening curves and the gradient points that follow them; ``points`` are the numbers of some of these (n,).
+    """Softening curves of gradient points; ``points`` are numbers of gradient points (n,).
 
     Parameters
     ----------
     curves : sequence of SofteningCurve
-        All of a body.
+        Curves of a body.
     of_point : (n_points,) int64
         Number of the curve of each point, -1 for a point that does not fail.
     """
@@ -184,12 +183,12 @@ class CurvesAtPoints:
 
 @dataclass(frozen=True)
 class AssignedPointDamage:
-    """Laws of damage at gradient points, and the particles whose points obey them.
+    """Damage laws of gradient points, and the particles to whose points they apply.
 
     Attributes
     ----------
     laws : sequence of PointDamage
-        All of a body, with one split.
+        Laws of a body, with one split.
     of_particle : (n_owned,) int64
         The number of the law of each own particle, -1 if its points do not fail.
     """
@@ -204,7 +203,7 @@ class AssignedPointDamage:
 
     @property
     def varies(self) -> bool:
-        """Return True if a fracture energy is a function of place and direction."""
+        """Return True if a fracture energy is a function of position and direction."""
         return any(callable(law.Gc) for law in self.laws)
 
     def curves(self, owner: LocalIndex) -> CurvesAtPoints:
@@ -212,7 +211,7 @@ class AssignedPointDamage:
         return CurvesAtPoints([law.curve for law in self.laws], self.of_particle[owner])
 
     def onset_energy(self, E: Float, x: Float) -> Float:
-        """Return ``PointDamage.onset_energy`` of the particles (n_owned,), E where points do not fail."""
+        """Return ``PointDamage.onset_energy`` of the particles (n_owned,), E for points that do not fail."""
         found = E.copy()
         for number, law in enumerate(self.laws):
             mine = self.of_particle == number
@@ -220,7 +219,7 @@ class AssignedPointDamage:
         return found
 
     def crack_energy(self, particles: LocalIndex, x: Float, normal: Float) -> Float:
-        """Return Gc (n,) at some particles (n,) for cracks across unit vectors (n, dim), 0 if none fails.
+        """Compute Gc (n,) at selected particles (n,) for cracks with unit normals (n, dim), 0 if they do not fail.
 
         ``x`` (n, dim) are their positions [length].
         """
@@ -232,7 +231,7 @@ class AssignedPointDamage:
 
 
 def _numbers(what: str, given: Any, *at: Float) -> Float:
-    """Return positive numbers (n,) of a number or a function."""
+    """Return positive values (n,) of a number or a function."""
     n = len(at[0])
     if not callable(given):
         return np.full(n, float(given))
@@ -245,14 +244,14 @@ def _numbers(what: str, given: Any, *at: Float) -> Float:
 
 
 class FailingPoints:
-    """Degradation factor of gradient points, and how far what drives their damage has been.
+    """Degradation factor and largest drive of gradient points.
 
-    What is called ``x`` in the methods is the drive of every point (n_points,) [-].
+    ``x`` in the methods is the drive of every point (n_points,) [-].
 
     Parameters
     ----------
     curves : CurvesAtPoints
-        How stress falls.
+        Softening curves.
     onset_energy : (n_points,) float64
         ``Y_0`` [energy / volume].
 
@@ -261,15 +260,15 @@ class FailingPoints:
     spared : (n_points,) bool
         Points that do not fail.
     phi, kappa, final : (n_points,) float64
-        Degradation factor, largest drive at the converged steps so far, and the drive at which nothing is left [-].
+        Degradation factor, largest drive of converged steps, and final drive [-].
     largest : (n_points,) float64
-        Largest drive with that of the state at which damage was last taken; a later state of the same load step may
-        take it back [-].
+        Largest drive including the state of the last update of damage; a later state of the same load step may reduce
+        it [-].
     frozen : bool
-        Whether the degradation factor stays while the displacement changes.
+        True if the degradation factor is constant while the displacement changes.
     slack : float
-        Points whose drive is below their largest one by less than this share fail too: 0 but where a tangent for
-        further loading is wanted [-].
+        Points whose drive is below their largest drive by less than this share fail too: 0 except for a tangent for
+        further loading [-].
     """
 
     def __init__(self, curves: CurvesAtPoints, onset_energy: Float) -> None:
@@ -280,7 +279,7 @@ class FailingPoints:
         self.commit()
 
     def final_of(self, points: GlobalIndex, energy: Float) -> Float:
-        """Return r (n,) of some points for what they take (n,) [energy / volume]."""
+        """Return the final drives (n,) of selected points from specific fracture energies (n,) [energy / volume]."""
         return np.asarray(1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curves.area(points)))
 
     @property
@@ -289,17 +288,17 @@ class FailingPoints:
         return np.asarray((self.kappa >= self.final) & ~self.spared)
 
     def commit(self) -> None:
-        """Keep the present state as that of a converged step."""
+        """Store the present state as that of a converged step."""
         self.kappa[:] = self.largest
         self._committed = self.phi.copy(), self.final.copy()
 
     def revert(self) -> None:
-        """Go back to the state of the last ``commit``."""
+        """Restore the state of the last ``commit``."""
         self.phi[:], self.final[:] = self._committed
         self.largest[:] = self.kappa
 
     def following(self, x: Float) -> tuple[Float, Mask, Float]:
-        """Return ``phi`` at drives x, which points lose more with them, and ``dphi/dx`` there (n_points,)."""
+        """Return ``phi`` at drives x, a mask of points whose damage grows, and ``dphi/dx`` there (n_points,)."""
         if self.frozen:
             return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
         largest = np.maximum(x, self.kappa)
@@ -311,7 +310,7 @@ class FailingPoints:
         return self.phi_of(largest, self.final), fails, slope
 
     def phi_of(self, x: Float, final: Float) -> Float:
-        """Return ``phi`` (n_points,) of points whose largest drives are x, with the drives at which nothing is left."""
+        """Return ``phi`` (n_points,) for largest drives x and final drives."""
         phi = np.ones(len(x))
         phi[(x >= final) & ~self.spared] = 0.0
         begun = np.flatnonzero((x > 1.0) & (x < final) & ~self.spared)

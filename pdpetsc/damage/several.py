@@ -1,4 +1,4 @@
-"""Laws of damage for several materials, and for the bonds between them."""
+"""Damage laws of several materials and their interfaces."""
 
 from __future__ import annotations
 
@@ -30,37 +30,36 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class DamageOf(Declared):
-    """Damage by region and by pair of regions: each material its law, and each interface another.
+    """Damage by region and by pair of regions: one law per material and one per interface.
 
     The laws are of bonds, or all are ``PointDamage``.
 
     Parameters
     ----------
     regions : mapping of str to Region
-        Names of parts of the body, such as those of its materials; every particle is in one of them.
+        Names of parts of the body, such as its materials; every particle is in exactly one region.
     laws : mapping of str or (str, str) to BondDamage, PointDamage or None
-        How bonds fail that have both ends in a region, or one in each of two, in either order; None for those that do
-        not. There is one for every name and every pair of names whose particles share a bond. Of ``PointDamage`` see
-        below.
+        Law of bonds with both ends in one region (name), or with ends in two regions (pair, in any order); None for
+        bonds that do not fail. Every name, and every pair of names whose particles share a bond, requires a law. For
+        ``PointDamage`` see the notes.
     protected : Region, optional
-        Bonds with an end in it, or points of particles in it, do not fail, besides those that a law protects among its
-        own.
+        Bonds with an end in this region, or points of particles in it, do not fail. A law may protect further regions.
 
     Raises
     ------
     CaseError
-        A name is not one of the regions, laws are missing or have different effects or splits, or are of bonds and of
-        points; in a case, particles are in no region or several, or two share a bond for which there is no law.
+        A name is unknown, laws are missing or have different effects or splits, or laws of bonds and of points are
+        mixed. In a case: a particle is in no region or in several, or a bond has no law.
 
     Notes
     -----
-    Points of particles obey the law of their region. If the family of a particle has members in another region and the
-    pair has a law, its points obey that of the pair; of several such pairs the first one in ``laws``. The points whose
-    families a crack along the interface cuts are then those of the pair, so that it takes the Gc of the pair. A pair
-    without a law changes nothing: both sides keep their own.
+    The law of a region applies to the points of its particles. If the family of a particle has members in another
+    region and the pair has a law, the law of the pair applies; of several such pairs, the first in ``laws``. A crack
+    along the interface then cuts families with the law of the pair only, and dissipates the Gc of the pair. Without a
+    law of the pair both sides have the law of their region.
 
-    A fracture energy means that of a plane through the material, or between the two: ``FractureEnergy`` and
-    ``BondEnergy(Gc=...)`` see the stiffness of the bonds from both ends.
+    A fracture energy is that of a plane through the material, or between two materials: ``FractureEnergy`` and
+    ``BondEnergy(Gc=...)`` use the stiffness of the bonds from both ends.
 
     Examples
     --------
@@ -109,7 +108,7 @@ class DamageOf(Declared):
 
     @property
     def _given(self) -> list[BondDamage | PointDamage]:
-        """Return the laws, without the places that do not fail."""
+        """Return the laws, without those that are None."""
         return [law for law in self.laws.values() if law is not None]
 
     @property
@@ -123,17 +122,17 @@ class DamageOf(Declared):
         return [one for law in self._given for one in law.point_laws]
 
     def rehearsed(self) -> BondDamage | PointDamage:
-        """Return damage of another body with which its loops can be compiled."""
+        """Return the laws for a small body on which their loops are compiled."""
         return self._given[0].rehearsed()
 
     @property
     def effect(self) -> DamageEvolution:
-        """Return the effect of the laws."""
+        """Return the damage evolution of the laws."""
         return self.all_laws[0].effect
 
     @property
     def places(self) -> list[tuple[str, Region]]:
-        """Return its regions with what they are."""
+        """Return its regions with their descriptions."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
         found += [] if self.protected is None else [("What damage is protected from", self.protected)]
         return found + [place for law in self._given for place in law.places]
@@ -185,9 +184,9 @@ class DamageOf(Declared):
         return part
 
     def _table(self) -> tuple[GlobalIndex, GlobalIndex]:
-        """Return the place in ``laws`` of two regions (n_regions, n_regions), ``len(laws)`` for one that is missing.
+        """Return the index in ``laws`` for two regions (n_regions, n_regions), ``len(laws)`` if missing.
 
-        Then the number of each law among those that fail (n_laws,), -1 for None.
+        Also return the number of each law among those that are not None (n_laws,), -1 for None.
         """
         names = list(self.regions)
         place = np.full((len(names), len(names)), len(self.laws), dtype=np.int64)
@@ -209,58 +208,58 @@ def _named(pair: frozenset[str]) -> str:
 
 @dataclass(frozen=True)
 class AssignedLaws:
-    """Laws and the bonds that obey them.
+    """Damage laws and the bonds to which they apply.
 
     Attributes
     ----------
     laws : sequence of BondDamage
-        All of them.
+        All laws.
     of_bond : (n_bonds,) int64
-        The law of each bond, -1 for one that does not fail.
+        The law of each bond, -1 for a bond that does not fail.
     """
 
     laws: Sequence[BondDamage]
     of_bond: GlobalIndex
 
     def build(self, bonds: DamageableBonds) -> DrivingVariable:
-        """Return what drives the bonds (not collective)."""
+        """Build the driving variable of the bonds (not collective)."""
         drives = [law.criterion.build(bonds) for law in self.laws]
         return drives[0] if len(drives) == 1 else SeveralDrivingVariables(drives, self.of_bond)
 
     @property
     def softens(self) -> bool:
-        """Return whether any bond loses its force gradually."""
+        """Return True if any bond loses its force gradually."""
         return any(law.final > law.onset for law in self.laws)
 
     @property
     def snaps(self) -> bool:
-        """Return whether any bond loses all of it at once."""
+        """Return True if any bond loses its force at once."""
         return any(law.final == law.onset for law in self.laws)
 
     @property
     def closing(self) -> Mask | None:
-        """Return the bonds that carry compression when they are broken (n_bonds,), None if no law lets any."""
+        """Return a mask of bonds that carry compression if broken (n_bonds,); None if no law has such bonds."""
         closes = [law.closes for law in self.laws]
         return np.array([*closes, False])[self.of_bond] if any(closes) else None
 
     def onset(self) -> Float:
-        """Return where the degradation factor of each bond begins to fall (n_bonds,), infinite without a law."""
+        """Return the driving variable at onset of each bond (n_bonds,), infinite without a law."""
         return np.array([*(law.onset for law in self.laws), np.inf])[self.of_bond]
 
     def final(self) -> Float:
-        """Return where each bond breaks (n_bonds,), infinite without a law."""
+        """Return the driving variable at which each bond breaks (n_bonds,), infinite without a law."""
         return np.array([*(law.final for law in self.laws), np.inf])[self.of_bond]
 
     def phi(self, x: Float, bonds: GlobalIndex) -> Float:
-        """Return the degradation factor of some bonds at their drives (n,)."""
+        """Return the degradation factor of selected bonds at driving variables x (n,)."""
         return self._by_law(lambda law, at: law.phi(x[at]), bonds)
 
     def slope(self, x: Float, bonds: GlobalIndex) -> Float:
-        """Return its derivative by the drive (n,)."""
+        """Return its derivative by the driving variable (n,)."""
         return self._by_law(lambda law, at: law.slope(x[at]), bonds)
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float, bonds: GlobalIndex) -> Float:
-        """Return what some linear bonds have dissipated (n,) [energy]."""
+        """Return the dissipated energy of selected linear bonds (n,) [energy]."""
         return self._by_law(lambda law, at: law.dissipated(phi[at], x[at], energy[at], degree), bonds)
 
     def _by_law(self, function: Callable[[BondDamage, GlobalIndex], Float], bonds: GlobalIndex) -> Float:
@@ -273,12 +272,12 @@ class AssignedLaws:
 
 
 class SeveralDrivingVariables(DrivingVariable):
-    """The drive of each bond by its law.
+    """Driving variable of each bond by its law.
 
     Parameters
     ----------
     driving_variables : sequence of DrivingVariable
-        One for each law, of all bonds.
+        Driving variable of all bonds, for each law.
     of_bond : (n_bonds,) int64
         The law of each bond, -1 for none.
     """
@@ -296,17 +295,17 @@ class SeveralDrivingVariables(DrivingVariable):
             self.limit = self._chosen(limits, np.inf)
 
     def take(self, solid: Solid) -> None:
-        """Let all read these gradient points."""
+        """Set the gradient points of all driving variables."""
         for driving_variable in self._driving_variables:
             driving_variable.take(solid)
 
     def commit(self, state: Displaced) -> None:
-        """Let all remember a converged state."""
+        """Commit a converged state in all driving variables."""
         for driving_variable in self._driving_variables:
             driving_variable.commit(state)
 
     def arrays(self) -> Mapping[str, Float]:
-        """Return what all remember, with the number of the law in the name."""
+        """Return the history arrays of all, with the number of the law in the name."""
         return {
             f"{name}_{number}": values
             for number, driving_variable in enumerate(self._driving_variables)
@@ -314,26 +313,26 @@ class SeveralDrivingVariables(DrivingVariable):
         }
 
     def at(self, state: Displaced) -> Float:
-        """Return the drive of every bond by its law, 0 where it has none."""
+        """Return the driving variable of every bond by its law, 0 without a law."""
         return self._chosen([driving_variable.at(state) for driving_variable in self._driving_variables], 0.0)
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
-        """Return the gradients of all laws in one."""
+        """Return the joint gradient of all laws."""
         return self._merged(bonds, lambda driving_variable, at: driving_variable.gradient(state, bonds[at], by[at]))
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
-        """Return the gradients of all laws in one."""
+        """Return the joint gradient of all laws."""
         return self._merged(bonds, lambda driving_variable, at: driving_variable.mean_gradient(state, bonds[at], count))
 
     def at_strain(self, strain: Float) -> Float | None:
-        """Return the drive of bonds that had these strains, 0 where their law does not tell; None where none does."""
+        """Return the driving variable at these strains, 0 if the law of a bond has none, None if no law has one."""
         found = [driving_variable.at_strain(strain) for driving_variable in self._driving_variables]
         if all(one is None for one in found):
             return None
         return self._chosen([np.zeros_like(strain) if one is None else one for one in found], 0.0)
 
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
-        """Return the energies where the drive is 1, if all drives tell them with the same degree."""
+        """Return the energies at driving variable 1, if all laws define them with the same degree."""
         energy, degrees = np.zeros(len(bonds)), set()
         for number, driving_variable in enumerate(self._driving_variables):
             at = np.flatnonzero(self._of_bond[bonds] == number)
@@ -370,7 +369,7 @@ class SeveralDrivingVariables(DrivingVariable):
 
 
 def _joined(lengths: GlobalIndex, rows: Sequence[tuple[GlobalIndex, NonlocalPart]]) -> NonlocalPart:
-    """Return derivatives of disjoint sets of bonds as those of all."""
+    """Join derivatives of disjoint sets of bonds."""
     ptr = np.concatenate([[0], np.cumsum(lengths)])
     dim = rows[0][1].by.shape[1]
     particles: LocalIndex = np.empty(ptr[-1], dtype=np.int32)

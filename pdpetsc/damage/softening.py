@@ -1,4 +1,4 @@
-"""How stress falls with strain at a gradient point that fails: curves of one shape, scaled by the fracture energy."""
+"""Softening curves of gradient points: stress over strain, scaled by the fracture energy."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pdpetsc.declared import Declared, Fraction, Positive
 
 @dataclass(frozen=True)
 class SofteningCurve(Declared, ABC):
-    """Stress over strength as a function ``s(xi)`` of a number from 0, at the onset of damage, to 1, without stress.
+    """Stress over strength as a function ``s(xi)``, from the onset of damage, xi = 0, to zero stress, xi = 1.
 
-    Derive from it for another curve: ``s(0) = 1``, ``s(1) = 0``, and s does not grow.
+    Derive from this class for a new curve: ``s(0) = 1``, ``s(1) = 0``, and s does not increase.
     """
 
     @abstractmethod
@@ -67,7 +67,7 @@ class Exponential(SofteningCurve):
     Parameters
     ----------
     rate : float
-        ``k`` [-], positive: 5 leaves 0.7 % of the strength where the curve is cut off.
+        ``k`` [-], positive: for 5 the curve is cut off at 0.7 % of the strength.
 
     Examples
     --------
@@ -94,12 +94,12 @@ class Exponential(SofteningCurve):
 
 @dataclass(frozen=True)
 class Bilinear(SofteningCurve):
-    """Two straight lines that meet where ``xi = kink`` and ``s = share``.
+    """Two straight lines that meet at ``xi = kink``, ``s = share``.
 
     Parameters
     ----------
     kink, share : float
-        Between 0 and 1 [-]; by default those of concrete: 0.8 and 3.6 times the fracture energy over the strength.
+        Between 0 and 1 [-]; the default is that of concrete: 0.8 and 3.6 times the fracture energy over the strength.
 
     References
     ----------
@@ -119,7 +119,7 @@ class Bilinear(SofteningCurve):
         return np.asarray(np.interp(xi, [0.0, self.kink, 1.0], [1.0, self.share, 0.0]))
 
     def slope(self, xi: Float) -> Float:
-        """Return the slope of the line that xi is on."""
+        """Return the slope of the line at xi."""
         return np.where(xi < self.kink, (self.share - 1.0) / self.kink, -self.share / (1.0 - self.kink))
 
     def integral(self, xi: Float) -> Float:

@@ -1,4 +1,4 @@
-"""Which bonds have failed, and how far: the state of bond damage."""
+"""State of bond damage."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import reached_back
 
-# Drives that differ by less than this share are the same: those of mirror images differ by 1e-12 after a direct linear
-# solve and by 1e-8 after an iterative one, those of other bonds by 1e-5 and more. So neither the order of particles nor
-# their units decide which of several equal bonds break, or whether a bond at its final drive breaks.
+# Driving variables are equal if they differ by less than this share. Those of mirror images differ by 1e-12 after a
+# direct linear solve and by 1e-8 after an iterative one, those of other bonds by 1e-5 or more. Breaking of equal bonds,
+# and of a bond at its final driving variable, therefore does not depend on the order of particles or on units.
 TOGETHER = 1e-7
 
 
 class FailingBonds:
-    """Degradation factor of the bonds of the own particles, and how far what drives their damage has been.
+    """Degradation factor and largest driving variable of the bonds of the own particles.
 
-    A bond is held from both of its ends, on two ranks perhaps; ``of.keys`` tells that the two are one. Where horizons
-    differ it may be held from the end alone that reaches the other. What is called ``x``
-    in the methods is the drive of every bond (n_bonds,) [-], zero where it is protected.
+    A bond is stored from both ends, possibly on two ranks; ``of.keys`` identifies it. If horizons differ, a bond may be
+    stored from one end only. ``x`` in the methods is the driving variable of every bond (n_bonds,) [-], zero if it is
+    protected.
 
     Parameters
     ----------
     bonds : DamageableBonds
         The bonds.
     laws : AssignedLaws
-        How they fail.
+        Damage laws of the bonds.
     law : BondDamage or DamageOf
-        What is declared, its criterion resolved where there is one.
+        The declared law, with a resolved criterion.
 
     Attributes
     ----------
     phi : (n_bonds,) float64
-        What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
+        Degradation factor of each bond [-]: 1 intact, 0 broken.
     kappa : (n_bonds,) float64
-        Largest drive so far [-], or that of the last equilibrium where bonds heal.
+        Largest driving variable so far [-], or that of the last equilibrium if damage is reversible.
     protected : (n,) int64
         Bonds that do not fail.
     frozen : bool
-        Whether the degradation factor stays while the displacement changes.
+        True if the degradation factor is constant while the displacement changes.
     slack : float
-        Bonds whose degradation factor at their present drive is above the kept one by less than this follow their drive
-        too [-]: 0 but where a tangent for further loading is wanted.
+        Bonds whose present degradation factor exceeds the stored one by less than this follow their driving variable
+        too [-]: 0 except for a tangent for further loading.
     of : DamageableBonds
         The bonds.
     length : (n_bonds,) float64
@@ -59,8 +59,8 @@ class FailingBonds:
         self._comm = bonds.cloud.comm
         self.of, self.length = bonds, bonds.length
         self.protected: GlobalIndex = np.flatnonzero(laws.of_bond < 0)
-        # Bonds to the own mirror image, which has the other end, and those of ends that do not reach back: what is
-        # counted from both ends counts them twice.
+        # Bonds of a particle with its own mirror image, and bonds stored from one end only, count twice in sums over
+        # both ends.
         keys = bonds.keys()
         own = keys[:, 0] == keys[:, 1]
         alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
@@ -74,7 +74,7 @@ class FailingBonds:
 
     @property
     def intact(self) -> Mask:
-        """Return which bonds are not broken (n_bonds,)."""
+        """Return a mask of unbroken bonds (n_bonds,)."""
         return np.asarray(self.phi > 0.0)
 
     @property
@@ -83,28 +83,29 @@ class FailingBonds:
         return self.laws.softens and not self.frozen
 
     def commit(self) -> None:
-        """Keep the present state (not collective)."""
+        """Store the present state (not collective)."""
         self._kept = self.phi.copy(), self.kappa.copy()
 
     def revert(self) -> None:
-        """Go back to the state last kept (not collective)."""
+        """Restore the last stored state (not collective)."""
         self.phi[:], self.kappa[:] = self._kept
 
     def following(self, x: Float) -> tuple[Float, GlobalIndex, Float]:
-        """Return what damage that is not held is at drives x (not collective).
+        """Compute the damage at driving variables x, without updating it (not collective).
 
         Returns
         -------
         phi : (n_bonds,) float64
             [-]
         softening : (n,) int64
-            Bonds whose degradation factor changes with their drive, ascending.
+            Bonds whose degradation factor changes with the driving variable, ascending.
         slope : (n,) float64
-            Its derivative by the drive [-].
+            Derivative of the degradation factor by the driving variable [-].
         """
         laws, final = self.laws, self._final
         present = np.ones_like(x)
-        # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
+        # Bonds break at equilibrium only: beyond its final driving variable a bond has the degradation factor at that
+        # value.
         past_onset = np.flatnonzero((x > self._onset) & self.intact)
         present[past_onset] = np.maximum(laws.phi(np.minimum(x, final)[past_onset], past_onset), 0.0)
         follows = self.law.effect.follows(present, self.phi + self.slack) & self.intact
@@ -112,10 +113,10 @@ class FailingBonds:
         return np.where(follows, present, self.phi), softening, laws.slope(x[softening], softening)
 
     def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
-        """Return the bonds within ``band`` of the largest drive, their number, and that drive [-].
+        """Return the bonds within ``band`` of the largest driving variable, their number, and that variable [-].
 
-        Of bonds that have not failed, those of this rank; their number is that of all ranks, and there are none where
-        no drive is positive; the number is 1 then (collective).
+        Only unbroken bonds count. The bonds are those of this rank, their number that of all ranks. If no driving
+        variable is positive, there are no bonds and the number is 1 (collective).
         """
         x = np.where(self.intact, x, 0.0)
         found = largest(self._comm, float(x.max(initial=0.0)))
@@ -124,49 +125,53 @@ class FailingBonds:
         return near, max(count, 1.0), found
 
     def fading(self, x: Float) -> float:
-        """Return by how much the degradation factor of a bond would change at most at drives x [-] (collective)."""
+        """Return the largest change of a degradation factor for driving variables x [-] (collective)."""
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def soften(self, x: Float) -> float:
-        """Take the degradation factor at drives x for good; return the largest change of any bond (collective)."""
+        """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
         T = self.following(x)[0]
         if self.frozen:
-            # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
+            # Sweeps with frozen damage end because damage only grows. Reversible damage decreases in Newton iterations
+            # only.
             T = np.minimum(T, self.phi)
         change = float(np.abs(self.phi - T).max(initial=0.0))
-        # A bond that has lost everything breaks at equilibrium, not here.
+        # A bond without remaining force breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
         self.kappa[:] = self.law.effect.reached(x, self.kappa)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:
-        """Break bonds at or past their final drive, the worst first; return how many pairs (collective).
+        """Break bonds at or beyond their final driving variable, largest first; return the number of pairs.
+
+        Collective.
 
         Parameters
         ----------
         x : (n_bonds,) float64
-            Drives [-]; those within ``TOGETHER`` of each other are the same.
+            Driving variables [-]; they are equal within ``TOGETHER``.
         most : int, optional
-            So many pairs at once, and those that tie with the last of them. Where absent the worst one of bonds that
-            snap, because its force goes to its neighbours, and all of bonds that soften.
+            Largest number of pairs at once, plus those equal to the last. By default one pair if any bond snaps,
+            because its neighbours take over its force, else all pairs.
         """
         if most is None and self.laws.snaps:
             most = 1
         over = x
         if self.laws.softens:
-            # A bond that has been past its final drive may have lost its force, even if it is driven less now.
+            # A bond that has exceeded its final driving variable may have lost its force, even if the variable is
+            # smaller now.
             over = self.law.effect.reached(x, self.kappa)
         over = np.where(self.intact, over, 0.0)
         return self._break_worst(over, most)
 
     def tear(self, x: Float, most: int | None = None) -> int:
-        """Break bonds that the strain of a gradient drives past their final drive; return how many pairs (collective).
+        """Break bonds by the strain of their family; return the number of pairs (collective).
 
         Parameters
         ----------
         x : (n_bonds,) float64
-            Drives at the tensile strain on every bond that the gradients of its centre tell [-]; the larger of both
-            ends counts.
+            Driving variables for the tensile strain of every bond, from the gradients of its centre [-]. The larger
+            value of both ends counts.
         most : int, optional
             As in ``break_bonds``.
         """
@@ -184,9 +189,9 @@ class FailingBonds:
         return self._break_worst(np.where(self.intact, over, 0.0), most)
 
     def _break_worst(self, driving_variable: Float, most: int | None) -> int:
-        """Break bonds whose drive is at or past the final one, the worst first; return how many pairs.
+        """Break bonds at or beyond their final driving variable, the largest first; return the number of pairs.
 
-        Bonds are compared by their drive over the final one, which may differ from law to law.
+        Bonds are compared by driving variable over final driving variable, which may differ between laws.
         """
         over, least = driving_variable / self._final, 1.0 - TOGETHER
         if largest(self._comm, float(over.max(initial=0.0))) < least:
@@ -203,12 +208,12 @@ class FailingBonds:
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
-        """Return keys (n, 3) and states (n, 2), ``phi`` and worst, of damaged bonds, each from its first end only."""
+        """Return keys (n, 3) and states (n, 2), ``phi`` and ``kappa``, of damaged bonds, from the first end only."""
         mine = np.flatnonzero((self.phi < 1.0) & self._first)
         return self.of.keys(mine), np.stack([self.phi[mine], self.kappa[mine]], axis=1)
 
     def restore(self, keys: GlobalIndex, states: Float) -> int:
-        """Set the states of those of the given bonds that are held here; return how many from their first end.
+        """Set the states of the bonds of these keys on this rank; return the number of their first ends.
 
         Not collective.
         """
@@ -223,7 +228,7 @@ class FailingBonds:
         return int(np.count_nonzero(self._first[bonds[here]]))
 
     def _matched(self, keys: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return a number for every given key (n, 3), bonds held here that may be among them, and their numbers.
+        """Return a number for every key (n, 3), candidate bonds on this rank, and the numbers of these bonds.
 
         Bonds with the same key have the same number (not collective).
         """
@@ -234,11 +239,11 @@ class FailingBonds:
         return number[: len(keys)], bonds, number[len(keys) :]
 
     def count_broken(self) -> int:
-        """Return how many pairs have lost their bond (collective)."""
+        """Return the number of pairs with a broken bond (collective)."""
         return self._pairs(~self.intact)
 
     def _pairs(self, chosen: Mask) -> int:
-        """Return how many pairs the chosen bonds (n_bonds,), chosen from both ends, are (collective)."""
+        """Return the number of pairs of chosen bonds (n_bonds,), chosen from both ends (collective)."""
         return int(total(self._comm, np.count_nonzero(chosen) + np.count_nonzero(chosen & self._twice))) // 2
 
     @property
@@ -247,16 +252,16 @@ class FailingBonds:
         return np.flatnonzero(self.phi < 1.0)
 
     def spent(self, lost: GlobalIndex, energy: Float, degree: float) -> Float:
-        """Return what each of some linear bonds has dissipated (n,) [energy] (not collective).
+        """Compute the dissipated energy of linear bonds (n,) [energy] (not collective).
 
         Parameters
         ----------
         lost : (n,) int64
-            Those that are ``weakened``.
+            The ``weakened`` bonds.
         energy : (n,) float64
-            Elastic energy of each where its drive is 1 [energy].
+            Elastic energy of each at driving variable 1 [energy].
         degree : float
-            With which power of the drive it grows [-].
+            Power of the driving variable in this energy [-].
         """
         x = np.where(self.phi[lost] > 0.0, self.kappa[lost], np.maximum(self.kappa[lost], self._final[lost]))
         return self.laws.dissipated(self.phi[lost], x, energy, degree, lost)

@@ -1,4 +1,4 @@
-"""Gradient schemes: where deformation gradients are evaluated and with which weights, one file per published scheme."""
+"""Gradient schemes: gradient points and their weights, one file per published scheme."""
 
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.bond_associated import BondAssociated

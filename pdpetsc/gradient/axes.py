@@ -1,4 +1,4 @@
-"""Axes that turn with the body, for schemes that divide families by direction."""
+"""Axes that rotate with the body, for schemes that divide families by direction."""
 
 from __future__ import annotations
 
@@ -11,31 +11,33 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 
-# A bond of length s counts (1 / s - 1 / LONGEST)^4, with s over the length of the shortest bond of its family.
+# A bond has the weight (1 / s - 1 / LONGEST)^4, with s its length over that of the shortest bond of its family.
 LONGEST = 3.0
-# Bonds with a larger cosine of their angle to an axis lie along it; the others of a lattice have 19 degrees and more.
+# Bonds with a larger cosine of their angle to an axis lie along it. Other bonds of a lattice have angles of 19 degrees
+# and more.
 ALONG = np.cos(np.radians(10.0))
-# Least order of the bonds of a lattice. Square and cubic ones have 0.8 to 1, with positions shaken by 0.2 spacings 0.6
-# to 0.7, body- and face-centred ones 0.17 to 0.25, irregular meshes of triangles less than 0.05.
+# Smallest order of the bonds of a lattice. It is 0.8 to 1 for square and cubic lattices, 0.6 to 0.7 if their positions
+# are perturbed by 0.2 spacings, 0.17 to 0.25 for body- and face-centred lattices, and less than 0.05 for irregular
+# triangle meshes.
 ORDERED = 0.1
-# Axes are unique if no others have the same order, or principal values are different, up to this.
+# Relative tolerance: axes are unique if no other axes have the same order, or if the principal values differ.
 DISTINCT = 1e-6
-# Starts and sweeps of the search for axes in space, and the angle [rad] at which it ends.
+# Starts and sweeps of the search for axes in 3D, and the angle [rad] at which it ends.
 STARTS, SWEEPS, CONVERGED = 24, 100, 1e-13
 
 
 def body_axes(cloud: Cloud, families: Families, xi: Float) -> tuple[Float, str]:
-    """Return axes that turn with the body, and a note for the log if it has none (collective).
+    """Compute axes that rotate with the body, and a note for the log if the body has none (collective).
 
     The axes of a lattice are those along which its shortest bonds lie: ``e_a`` with the largest ``|order|``,
 
         order = ((dim + 2) <sum_a (n . e_a)^4> - 3) / (dim - 1),
 
-    the weighted mean over unit bonds ``n``. The order is 1 if all of them lie along the axes, and 0 for bonds of all
-    directions. The mean of the bonds within 10 degrees of each axis replaces it: on a lattice those lie along the axes,
-    and bonds across them, which a slanting face cuts, do not count. A cloud of an order below ``ORDERED``, which is no
-    lattice, has the principal axes of the body. If two principal values are equal, as those of a disc, or the body is
-    in a periodic cell, it has the axes of space.
+    the weighted mean over unit bonds ``n``. The order is 1 if all bonds lie along the axes, and 0 if bonds have all
+    directions. Each axis is then replaced by the mean of the bonds within 10 degrees of it. On a lattice these bonds
+    lie along the axes, and other bonds, for example at an inclined face, have no influence. If the order is below
+    ``ORDERED``, the cloud is irregular and has the principal axes of the body. If two principal values are equal, as
+    for a disc, or the body is in a periodic cell, the function returns the coordinate axes.
 
     Parameters
     ----------
@@ -49,9 +51,9 @@ def body_axes(cloud: Cloud, families: Families, xi: Float) -> tuple[Float, str]:
     Returns
     -------
     axes : (dim, dim) float64
-        One axis a row; their order and signs are those nearest to the axes of space.
+        One axis per row, in the order and with the signs nearest to the coordinate axes.
     note : str
-        Not empty if the axes of space replace missing ones; the same on all ranks.
+        Not empty if the coordinate axes replace missing ones; the same on all ranks.
     """
     dim = cloud.dim
     if dim == 1:
@@ -65,7 +67,7 @@ def body_axes(cloud: Cloud, families: Families, xi: Float) -> tuple[Float, str]:
 
 
 def _lattice_axes(cloud: Cloud, families: Families, xi: Float) -> Float | None:
-    """Return the axes along which the shortest bonds lie, None if they lie along none (collective)."""
+    """Compute the axes along which the shortest bonds lie; None if there are none (collective)."""
     dim, centres = cloud.dim, families.centres
     length = np.sqrt(np.einsum("bd,bd->b", xi, xi))
     shortest = np.full(cloud.n_owned, np.inf)
@@ -78,7 +80,7 @@ def _lattice_axes(cloud: Cloud, families: Families, xi: Float) -> Float | None:
     squares = np.einsum("bi,bj->bij", n, n).reshape(len(n), dim * dim)
     T = _with_images(cloud, ((weight[:, None] * squares).T @ squares).reshape((dim,) * 4))
     all_weights = float(np.einsum("iijj", T)) or 1.0
-    # Found once: processors that round in different ways may differ about axes that are nearly unique.
+    # Computed on one rank: rounding on different processors may select different axes if they are nearly unique.
     e: Float | None = cloud.comm.bcast(_axes_of_moments(T / all_weights) if cloud.comm.rank == 0 else None)
     if e is None:
         return None
@@ -92,7 +94,7 @@ def _lattice_axes(cloud: Cloud, families: Families, xi: Float) -> Float | None:
 
 
 def _with_images(cloud: Cloud, tensor: Float) -> Float:
-    """Return the sum of tensors over the ranks, averaged over the body and its mirror images (collective)."""
+    """Sum tensors over the ranks and average them over the body and its mirror images (collective)."""
     tensor = total(cloud.comm, tensor)
     for plane in cloud.places.planes:
         flipped = tensor.copy()
@@ -103,15 +105,15 @@ def _with_images(cloud: Cloud, tensor: Float) -> Float:
 
 
 def _principal_axes(moment: Float) -> Float | None:
-    """Return the principal axes of a second moment (dim, dim), None if two principal values are equal."""
+    """Compute the principal axes of a second moment (dim, dim); None if two principal values are equal."""
     values, vectors = np.linalg.eigh(moment)
     return np.asarray(vectors.T) if np.diff(values).min() > DISTINCT * values[-1] else None
 
 
 def _axes_of_moments(T: Float) -> Float | None:
-    """Return the axes of a lattice with moments (dim, dim, dim, dim), None if others are as good or there are none."""
+    """Compute the axes of a lattice with moments (dim, dim, dim, dim); None if they do not exist or are not unique."""
     dim = len(T)
-    # In the plane the least sum has the axes of the largest one turned by 45 degrees.
+    # In the plane the axes of the smallest sum are those of the largest sum, rotated by 45 degrees.
     e = np.concatenate([_local_maxima(sign * T) for sign in ((1.0,) if dim == 2 else (1.0, -1.0))])
     order = np.abs(np.einsum("ijkl,sai,saj,sak,sal->s", T, e, e, e, e) * (dim + 2) - 3.0) / (dim - 1)
     best = int(np.argmax(order))
@@ -120,9 +122,9 @@ def _axes_of_moments(T: Float) -> Float | None:
 
 
 def _local_maxima(T: Float) -> Float:
-    """Return axes (n, dim, dim) at local maxima of ``sum_a T e_a e_a e_a e_a``, one for each of ``STARTS``.
+    """Compute axes (n, dim, dim) at local maxima of ``sum_a T e_a e_a e_a e_a``, one for each of ``STARTS``.
 
-    Each turn in the plane of two axes takes the maximum there, which is known in closed form (Jacobi's method).
+    Each rotation in the plane of two axes leads to the maximum there, in closed form (Jacobi's method).
     """
     dim = len(T)
     e = np.linalg.qr(np.random.default_rng(1).standard_normal((STARTS, dim, dim)))[0]
@@ -143,9 +145,9 @@ def _local_maxima(T: Float) -> Float:
 
 
 def _nearest_to_space(e: Float) -> Float:
-    """Return the axes (dim, dim) in the order and with the signs nearest to the axes of space."""
+    """Sort and sign the axes (dim, dim) so that they are nearest to the coordinate axes."""
     dim = len(e)
-    # Not quite the axes of space, to which two axes of a lattice turned by 45 degrees are equally near.
+    # Perturbed coordinate axes: a lattice rotated by 45 degrees has two axes equally near to a coordinate axis.
     near = np.eye(dim) + 1e-3 * np.arange(dim * dim).reshape(dim, dim)
     cosines = e @ near.T
     best = max(itertools.permutations(range(dim)), key=lambda order: np.abs(cosines[order, range(dim)]).sum())

@@ -1,4 +1,4 @@
-"""The sparse gradient operator that every correspondence scheme builds, and what schemes share to build it."""
+"""The sparse gradient operator of correspondence schemes, and functions to build it."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 
-# A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
+# A family is flat if the smallest eigenvalue of its shape tensor is below this share of the mean eigenvalue.
 FLAT = 1e-6
-# Below this share a part of a family, such as a sector, gets no gradient point of its own; sectors of a lattice have
+# Below this share a part of a family, such as a sector, has no gradient point of its own. Sectors of a lattice have
 # more than 0.2.
 THIN = 1e-2
-# Particles that an error message lists at most.
+# Largest number of particles that an error message lists.
 NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
 class StencilMembers:
-    """Particles that belong together: those of a gradient point, of a bond, of a family, of a patch.
+    """Members of stencils: the particles of gradient points, bonds, families or patches.
 
     Attributes
     ----------
     owner : (n_points,) int32
-        Own particle ``i`` that each stencil belongs to, ascending.
+        Own particle ``i`` of each stencil, ascending.
     point_ptr : (n_points + 1,) int64
-        Where the members of each stencil start.
+        Start of the members of each stencil.
     members : (n_entries,) int32
         Local particles.
     """
@@ -47,7 +47,7 @@ class StencilMembers:
     members: LocalIndex
 
     def by_particle(self, n_local: int) -> tuple[GlobalIndex, GlobalIndex, LocalIndex]:
-        """Return the entries of each local particle and their stencils, as ``transpose`` does, computed once."""
+        """Return the entries of each local particle and their stencils, as ``transpose`` does. The result is cached."""
         found: tuple[GlobalIndex, GlobalIndex, LocalIndex] | None = self.__dict__.get("_by_particle")
         if found is None:
             found = self.__dict__["_by_particle"] = transpose(self.point_ptr, self.members, n_local)
@@ -78,14 +78,14 @@ class Stencils(StencilMembers):
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts that families are divided into, such as sectors, of which not all have a gradient point.
+    """Parts of families, such as sectors; some parts have no gradient point.
 
     Attributes
     ----------
     of_point : (n_points,) int64
-        The part that each point is of.
+        Part of each point.
     served_by : (n_owned, n_parts) int64
-        The point of each part of a particle: its own, or that of the part that took its bonds over.
+        Point of each part of a particle: its own, or that of the part that contains its bonds.
     """
 
     of_point: GlobalIndex
@@ -105,10 +105,10 @@ class GradientOperator(StencilMembers):
     volume : (n_points,) float64
         Quadrature volumes ``W_p = V_i / (points of i)`` [volume].
     note : str
-        What the scheme had to adapt to this body, for the log; the same on all ranks.
+        Adaptations of the scheme to this body, for the log; the same on all ranks.
     parts : Parts or None
-        Which parts of its particle a point is of, where bonds that break may leave a part without a point; None where
-        particles have the same points whichever bonds are left.
+        Part of the family of each point, if broken bonds may leave a part without a point. None if the points of a
+        particle do not depend on broken bonds.
     """
 
     g: Float
@@ -123,11 +123,11 @@ class GradientOperator(StencilMembers):
 
     @cached_property
     def points_of(self) -> GlobalIndex:
-        """Return where the points of every own particle start (n_owned + 1,): each has at least one."""
+        """Return the start of the points of every own particle (n_owned + 1,); each particle has at least one."""
         return np.concatenate([[0], np.flatnonzero(np.diff(self.owner)) + 1, [self.n_points]])
 
     def at(self, points: GlobalIndex) -> GradientOperator:
-        """Return the operator of some points (n,) alone, ascending (not collective)."""
+        """Return the operator of selected points (n,), ascending (not collective)."""
         entries, first = entries_of(self.point_ptr, points)
         return GradientOperator(
             self.owner[points], first, self.members[entries], self.g[entries], self.volume[points]
@@ -143,17 +143,17 @@ class GradientOperator(StencilMembers):
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses.
 
-        The forces of a control that uses the same gradient are added where it is given; it is of a kind that
-        ``adds_together`` takes.
+        If ``same`` is present, also add the forces of this control on the same gradient. ``adds_together`` must accept
+        it.
         """
         add_divergence(self, self.g, P, f, same)
 
     def adds_together(self, same: SameGradient | None) -> bool:
-        """Return whether ``divergence`` can add the forces of a control with those of stresses."""
+        """Return True if ``divergence`` can add the forces of a control together with those of stresses."""
         return isinstance(same, BondGradient)
 
     def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
-        """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces if they are not g."""
+        """Return ``H^T (W A) G`` for moduli A; forces have the weights ``h`` (n_entries, dim), by default g."""
         return ListedLoop(self, A.listed, h)
 
     def sum_over_points(self, values: Float) -> Float:
@@ -172,21 +172,21 @@ class GradientOperator(StencilMembers):
 
 @dataclass(frozen=True)
 class Moduli:
-    """Moduli ``A_p = dP/dF`` of gradient points, kept once for points that have the same.
+    """Moduli ``A_p = dP/dF`` of gradient points, stored once for all points with equal moduli.
 
     Attributes
     ----------
     values : (n_sets, dim, dim, dim, dim) float64
         Different moduli [stress].
     of : (n_points,) int32 or None
-        Which of them each point has; each its own where None.
+        Index of the moduli of each point; None if each point has its own.
     """
 
     values: Float
     of: LocalIndex | None = None
 
     def at(self, points: GlobalIndex) -> Float:
-        """Return the moduli of some points (n, dim, dim, dim, dim) [stress]."""
+        """Return the moduli of selected points (n, dim, dim, dim, dim) [stress]."""
         return self.values[points if self.of is None else self.of[points]]
 
     @cached_property
@@ -196,7 +196,7 @@ class Moduli:
 
 
 class SameGradient:
-    """What a control needs to add its forces while the gradient that it shares with the material is at hand."""
+    """Data of a control that computes its forces from the gradient of the material."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class ControlledGradient:
     Attributes
     ----------
     control : SameGradient
-        What its forces take.
+        Data of the control.
     H : (n_points, dim, dim) float64
         Gradient of the displacement [-].
     u : (n_local, dim) float64
@@ -251,15 +251,15 @@ class PointLoop(ABC):
 
     @abstractmethod
     def controlled(self, same: SameGradient | None) -> PointLoop | None:
-        """Return the loop that adds the forces of a control too, or None if it cannot."""
+        """Return the loop that also adds the forces of a control; None if that is not possible."""
 
     @abstractmethod
     def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the points of some own particles for displacements (n_local, dim) (not collective)."""
+        """Add the forces of the points of selected own particles for displacements (n_local, dim) (not collective)."""
 
     @abstractmethod
     def add_point_blocks(self, blocks: Float) -> None:
-        """Add what couples each local particle to itself (n_local, dim, dim), without that of a control."""
+        """Add the diagonal blocks of the local particles (n_local, dim, dim), without those of a control."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ class ListedLoop(PointLoop):
     A : (n_points, dim, dim, dim, dim) float64
         Moduli [stress].
     h : (n_entries, dim) float64 or None
-        Weights with which points put forces on particles [1 / length]; those of the gradient if None.
+        Weights of the forces of points on particles [1 / length]; those of the gradient if None.
     control : BondGradient or None
         The control in the loop.
     """
@@ -284,13 +284,13 @@ class ListedLoop(PointLoop):
     control: BondGradient | None = None
 
     def controlled(self, same: SameGradient | None) -> PointLoop | None:
-        """Return the loop with a control whose bonds are listed, if forces have the weights of the gradient."""
+        """Return the loop with a control with listed bonds; None if forces have other weights than the gradient."""
         if self.h is not None or not isinstance(same, BondGradient):
             return None
         return replace(self, control=same)
 
     def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the points of some own particles."""
+        """Add the forces of the points of selected own particles."""
         operator, h = self.operator, self.operator.g if self.h is None else self.h
         control = NO_CONTROL if self.control is None else (self.control.stiffness, self.control.K)
         gradient_times_kernel(u.shape[1], int(self.control is not None))(
@@ -309,14 +309,14 @@ class ListedLoop(PointLoop):
 
 @dataclass(frozen=True)
 class Patches:
-    """Which gradient points share one dilatation.
+    """Patches of gradient points that share one dilatation.
 
     Attributes
     ----------
     edge : float
-        Edge of the boxes whose particles are a patch [length].
+        Edge of the boxes; the particles in a box form a patch [length].
     share : float
-        Stiffness of dilatations that the mean of a patch does not see over twice the shear modulus [-].
+        Stiffness against deviations of a dilatation from the mean of its patch, over twice the shear modulus [-].
     """
 
     edge: float
@@ -325,14 +325,14 @@ class Patches:
 
 @dataclass(frozen=True)
 class Scheme(Declared, ABC):
-    """A correspondence scheme: where deformation gradients are evaluated, and with which weights.
+    """A correspondence scheme: the gradient points and their weights.
 
     Attributes
     ----------
     of_family : bool
-        Whether the weights follow from the bonds of the family alone, so that particles with the same bonds share them.
+        True if the weights depend on the bonds of the family only, so that particles with equal bonds share them.
     points_of_bonds : bool
-        Whether the points of a particle are those of its bonds, in the order in which its bonds are listed.
+        True if a particle has one point per bond, in the order of its bonds.
     horizon_ratio : float
         Horizon over spacing on a lattice if a case declares no horizon [-].
     """
@@ -342,21 +342,21 @@ class Scheme(Declared, ABC):
     horizon_ratio: ClassVar[float] = 1.5
 
     def of_unit_spacing(self) -> Scheme:
-        """Return it without lengths of its body, to compile its loops on particles one unit apart."""
+        """Return the scheme without lengths of the body, to compile its loops on particles at unit spacing."""
         return self
 
     @property
     def patches(self) -> Patches | None:
-        """Return which gradient points share one dilatation; None where each has its own."""
+        """Return the patches of gradient points that share one dilatation; None if each point has its own."""
         return None
 
     def memory(self, dim: int, family: float) -> float:
-        """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""
+        """Return the smallest memory per bond while the operator is built, for families of ``family`` bonds [bytes]."""
         return 40.0
 
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator for influence ``omega`` (n_bonds,) [-].
+        """Build the gradient operator for influence ``omega`` (n_bonds,) [-].
 
         Raises
         ------
@@ -370,14 +370,14 @@ class Scheme(Declared, ABC):
 
 
 def flat(K: Float, share: float = FLAT) -> Mask:
-    """Return which shape tensors have their smallest eigenvalue below ``share`` of the mean one."""
+    """Return a mask of shape tensors whose smallest eigenvalue is below ``share`` of the mean eigenvalue."""
     low = np.linalg.eigvalsh(K)[:, 0]
     mean = np.einsum("pii->p", K) / K.shape[1]
     return np.asarray(low <= share * mean)
 
 
 def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
-    """Return one point per owned particle, over its whole family with the given bond weights (n_bonds,)."""
+    """Return one point per owned particle, over its whole family, with bond weights (n_bonds,)."""
     n = cloud.n_owned
     centres = np.arange(n, dtype=np.int32)
     return with_centres(centres, families.indptr, families.neighbours, weight)
@@ -389,7 +389,8 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     Raises
     ------
     CaseError
-        A family is too small or flat to give a gradient, on every rank; ``name`` says in the message what needs it.
+        A family is too small or too flat for a gradient, on every rank. The message contains ``name``, which requires
+        it.
 
     Notes
     -----
@@ -406,7 +407,7 @@ def correspondence_weights(families: Families, x: Float, weight: Float, K_invers
 
 
 def with_centres(owner: LocalIndex, point_ptr: GlobalIndex, members: LocalIndex, weight: Float) -> Stencils:
-    """Put the owner of each point in front of its members, with weight 0."""
+    """Insert the owner of each point before its members, with weight 0."""
     at = point_ptr[:-1]
     return Stencils(
         owner, point_ptr + np.arange(len(point_ptr)), np.insert(members, at, owner), np.insert(weight, at, 0.0)
@@ -429,7 +430,7 @@ def operator(cloud: Cloud, stencils: Stencils, note: str = "") -> GradientOperat
 
 
 def from_bond_weights(cloud: Cloud, families: Families, g: Float, note: str = "") -> GradientOperator:
-    """Return the operator with one point per particle and the given weights of its bonds (n_bonds, dim)."""
+    """Return the operator with one point per particle and weights of its bonds (n_bonds, dim)."""
     stencils = whole_families(cloud, families, np.zeros(len(g)))
     at = families.indptr[:-1]
     own = np.zeros((cloud.n_owned, cloud.dim))
@@ -447,7 +448,7 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
 
 
 def refuse_flat(cloud: Cloud, own: GlobalIndex, what: str) -> None:
-    """Raise FlatFamilies on all ranks if ``own`` has own particles on any; ``what`` needs the gradient (collective)."""
+    """Raise FlatFamilies on all ranks unless ``own`` is empty on each; ``what`` requires the gradient (collective)."""
     bad = np.zeros(cloud.n_owned)
     bad[own] = 1.0
     count = cloud.counted(bad)

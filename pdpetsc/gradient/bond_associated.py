@@ -23,7 +23,7 @@ from pdpetsc.gradient.base import (
 )
 from pdpetsc.kernels.gradient import bond_families_kernel, bond_family_sizes_kernel
 
-# Radii of the family of a bond that are tried in turn, as multiples of ``radius``; the last takes the whole family.
+# Radii of the family of a bond that are tried in turn, as multiples of ``radius``. The last is the whole family.
 GROWTH = (1.0, 1.25, 1.5, 1.75, 2.0, math.inf)
 
 
@@ -31,11 +31,11 @@ GROWTH = (1.0, 1.25, 1.5, 1.75, 2.0, math.inf)
 class BondAssociated(Scheme):
     """Bond-associated correspondence: a gradient point for every bond of a particle, over the family of the bond.
 
-    The family of bond ``ij`` are the members of the family of ``i`` within ``radius`` horizons of ``j``; the points of
-    a particle share its volume in equal parts. Where that family is too flat, as on a lattice of nearest neighbours,
-    the first of 1.25, 1.5, 1.75 and 2 times the radius is taken that gives a gradient, else the whole family. Forces
-    derive from the energy of the points, so force and moment balance and the tangent is symmetric; Chen2019 sums force
-    states bond by bond.
+    The family of bond ``ij`` contains the members of the family of ``i`` within ``radius`` horizons of ``j``. The
+    points of a particle share its volume in equal parts. If the family of a bond is too flat, as on a lattice of
+    nearest neighbours, the radius increases to 1.25, 1.5, 1.75 and 2 times its value. The last choice is the whole
+    family. The forces derive from the energy of the points. Forces and moments therefore balance and the tangent is
+    symmetric; Chen2019 sums force states bond by bond.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class BondAssociated(Scheme):
             raise CaseError(f"The radius of a bond's family is a positive number of horizons, not {self.radius}.")
 
     def memory(self, dim: int, family: float) -> float:
-        """Return the memory of the family of a bond, about a third of that of its particle [bytes]."""
+        """Return the memory of the family of a bond, which is about a third of that of its particle [bytes]."""
         return 8.0 * family
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         regular_shape_tensors(cloud, families, weight, "bond-associated gradients")
         centres = families.centres

@@ -1,4 +1,4 @@
-"""Conforming weights: the least change of a gradient that lets it satisfy the divergence theorem for every particle."""
+"""Conforming weights: the smallest change of weights that satisfies the divergence theorem for every particle."""
 
 from __future__ import annotations
 
@@ -22,36 +22,39 @@ from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.conforming import linear_moments_kernel, remainder_kernel
 from pdpetsc.kernels.near import reach_kernel
 
-# The divergence theorem holds up to this share of the largest sum of weights of a particle.
+# Tolerance of the divergence theorem, as a share of the largest sum of weights of a particle.
 TOLERANCE = 1e-10
-# Near members are up to this many times as far as the 2 dim-th nearest one; on lattices those along the diagonals are.
+# Near members are at most this many times as far away as the 2 dim-th nearest member. On lattices this includes the
+# diagonals.
 NEAR = 1.6
-# Points have few members where these are, in the mean, at most as many, by dimension.
+# Largest mean number of members of points with few members, by dimension.
 FEW = {1: 10.0, 2: 14.0, 3: 12.0}
-# Times that the system is solved, for what is left of the right-hand side.
+# Number of solves of the system, each for the remaining right-hand side.
 ROUNDS = 4
-# Weights that change by this many times what they were, in the norm over the body, are no longer those of the scheme:
-# of 301 clouds the five above, 1.2 to 1.9, had errors up to thirty times those of a slightly wider horizon, and none of
-# those below stood out (docs/theory/conforming.md).
+# Largest relative change of the weights, in the norm over the body. Of 301 clouds, five had larger changes, 1.2 to 1.9,
+# and errors up to thirty times those with a slightly wider horizon. Clouds with smaller changes had no such errors
+# (docs/theory/conforming.md).
 REFUSED = 1.0
-# A point whose weights change by more times what they were is named; 286 of the 301 clouds have none.
+# Relative change above which the log names the point; 286 of the 301 clouds have no such point.
 NOTED = 4.0
-# As are more iterations than this: where families leave little to choose they grow with the number of particles.
+# Number of iterations above which the log reports them. They grow with the number of particles if families leave little
+# freedom.
 MANY = 1000
-# Pieces of a body at most whose linear functions are taken out one by one.
+# Largest number of pieces of a body whose linear functions are removed piece by piece.
 PIECES = 20
-# What the system makes of a function in its null space is below this share of its largest entry and of the function.
+# Tolerance of the null space: the product of the system with a null function, as a share of its largest entry and of
+# the function.
 LINEAR = 1e-9
-# Linear fields stay exact up to this.
+# Tolerance of the gradients of linear fields.
 EXACT = 1e-8
 
 
 class ConformingSystem:
     """The symmetric system for the multipliers of the divergence theorem, ``S lambda = s - sum_p W_p g_pk``.
 
-    ``S = C (I - Phi M^-1 Phi^T) C^T`` with ``C_k,pk = W_p``: to the numbers that a particle ``k`` has in every point it
-    is a member of, of which each point takes the best linear function out. Linear functions are its null space. Beside
-    mirror planes each component has a system of its own, because images have its numbers with another sign.
+    ``S = C (I - Phi M^-1 Phi^T) C^T`` with ``C_k,pk = W_p``: a particle ``k`` has a number at every point that it is a
+    member of, and each point subtracts the best linear fit. The null space contains the linear functions. At mirror
+    planes each component has its own system, because the sign of the images depends on the component.
 
     Parameters
     ----------
@@ -60,11 +63,11 @@ class ConformingSystem:
     operator : GradientOperator
         The gradient whose weights are changed.
     pieces : (n_owned,) int64
-        The piece of the body that each own particle belongs to.
+        Piece of the body of each own particle.
 
     Notes
     -----
-    Every method but where it says otherwise is collective.
+    Every method is collective unless its docstring says otherwise.
     """
 
     def __init__(self, cloud: Cloud, operator: GradientOperator, pieces: GlobalIndex) -> None:
@@ -75,7 +78,7 @@ class ConformingSystem:
         self._square = operator.volume**2
         M = np.empty((operator.n_points, cloud.dim + 1, cloud.dim + 1))
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
-        # A point with as few members as a linear function has numbers explains all of them.
+        # The linear fit is exact at a point that has no more members than a linear function has coefficients.
         self._inverse = np.linalg.pinv(M, hermitian=True)
         self._component: int | None = None
 
@@ -87,15 +90,15 @@ class ConformingSystem:
 
     @property
     def null_functions(self) -> list[Float]:
-        """Return linear functions on the own particles whose images are linear too, of each piece of the body.
+        """Return linear functions on the own particles of each piece of the body whose images are linear too.
 
-        Where there are many pieces those of the whole body alone.
+        If there are many pieces, return those of the whole body only.
         """
         cloud = self.cloud
         labels = np.unique(np.concatenate(cloud.comm.allgather(np.unique(self._pieces))))
         masks = [self._pieces == label for label in labels] if len(labels) <= PIECES else [np.ones(cloud.n_owned)]
         x = cloud.x[: cloud.n_owned]
-        # Even or odd about every mirror plane; small numbers far from the origin.
+        # Even or odd about every mirror plane, and scaled for bodies far from the origin.
         middle = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
         for axis, at in cloud.places.planes.items():
             middle[axis] = at
@@ -105,7 +108,7 @@ class ConformingSystem:
                 v = np.asarray(function * mask)[:, None]
                 size = largest(cloud.comm, float(np.abs(v).max(initial=0.0)))
                 left = largest(cloud.comm, float(np.abs(self.product(v)).max(initial=0.0)))
-                # Of a function that is not linear on the images the system leaves a part.
+                # The product is not zero for a function that is not linear on the images.
                 if left <= LINEAR * size * self._scale:
                     found.append(v[:, 0])
         return found
@@ -118,7 +121,7 @@ class ConformingSystem:
         return largest(self.cloud.comm, float(diagonal.max(initial=0.0)))
 
     def _turn(self, values: Float) -> None:
-        """Give the ghosts of ``values`` (n_local, columns) the sign of the component."""
+        """Multiply the ghosts of ``values`` (n_local, columns) by the sign of the component."""
         if self._component is not None and len(self.cloud.sign):
             values[self.cloud.n_owned :] *= self.cloud.sign[:, self._component, None]
 
@@ -145,7 +148,7 @@ class ConformingSystem:
             v[cloud.n_owned :] *= cloud.sign
         e = np.zeros((len(self._operator.members), cloud.dim))
         remainder_kernel(cloud.dim, cloud.dim, 0)(*self._geometry, self._operator.volume, v, e)
-        # The first entry of a point is its centre, which takes what the others give.
+        # The first entry of a point is its centre: minus the sum of the others.
         first = self._operator.point_ptr[:-1]
         e[first] = 0.0
         e[first] = -np.add.reduceat(e, first, axis=0)
@@ -163,11 +166,11 @@ class ConformingSystem:
         return out[: cloud.n_owned]
 
     def near_matrix(self, families: Families) -> scipy.sparse.csr_matrix:
-        """Return the matrix that preconditions ``S`` (n_local, n_local), what this rank adds to it.
+        """Return the part of this rank of the matrix that preconditions ``S`` (n_local, n_local).
 
-        It is ``S`` itself where its points have few members, as sectors have: what is left there of the numbers of a
-        point is little, and no other matrix is near. Else it is that of one point per particle with near members only,
-        which has about 25 entries in a row in the plane and 85 in space for any horizon.
+        It is ``S`` itself if points have few members, such as sectors, because no simpler matrix is a good
+        approximation. Otherwise it is the matrix of one point per particle with near members only. A row then has about
+        25 entries in 2D and 85 in 3D, for any horizon.
         """
         cloud, operator = self.cloud, self._operator
         if total(cloud.comm, len(operator.members)) <= FEW[cloud.dim] * total(cloud.comm, operator.n_points):
@@ -184,7 +187,7 @@ class ConformingSystem:
     def _matrix(
         self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float
     ) -> scipy.sparse.csr_matrix:
-        """Return ``C (I - Phi M^-1 Phi^T) C^T`` of points with the given owners, members and volumes."""
+        """Return ``C (I - Phi M^-1 Phi^T) C^T`` for points with these owners, members and volumes."""
         cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
         M = np.empty((points, dim + 1, dim + 1))
         linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.local_horizon[owner], M)
@@ -203,7 +206,7 @@ class ConformingSystem:
         return scipy.sparse.csr_matrix(found)
 
     def turned(self, matrix: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
-        """Return a matrix over the local particles with the signs that the component has on them (not collective)."""
+        """Multiply a matrix over the local particles by the signs of the component there (not collective)."""
         sign = np.ones((self.cloud.n_local, 1))
         self._turn(sign)
         return scipy.sparse.csr_matrix(matrix.multiply(sign).multiply(sign.T))
@@ -221,10 +224,10 @@ SolveSystem: TypeAlias = "Callable[[ConformingSystem, scipy.sparse.csr_matrix, F
 def conforming(
     cloud: Cloud, families: Families, operator: GradientOperator, surface: Surface, solve: SolveSystem
 ) -> GradientOperator:
-    """Return a gradient with the divergence theorem in discrete form, ``sum_p W_p g_pk = s_k`` for every particle.
+    """Compute weights that satisfy the discrete divergence theorem, ``sum_p W_p g_pk = s_k`` for every particle.
 
-    ``s_k = sum_f N_f(x_k) a_f`` over the facets of the surface. Of all weights that do, and keep linear fields exact,
-    ``sum_k g_pk = 0``, ``sum_k x_k (x) g_pk = I``, these differ least from the given ones, ``min sum |dg_pk|^2``. A
+    ``s_k = sum_f N_f(x_k) a_f`` over the facets of the surface. Linear fields remain exact, ``sum_k g_pk = 0``,
+    ``sum_k x_k (x) g_pk = I``. Of all such weights these are nearest to those of the scheme, ``min sum |dg_pk|^2``. A
     uniform stress is then in equilibrium with its tractions on any cloud.
 
     Parameters
@@ -239,7 +242,8 @@ def conforming(
     Raises
     ------
     NoConformingWeights
-        None exist for these families, or they are further from those of the scheme than zero, on every rank.
+        No such weights exist for these families, or they differ from those of the scheme by more than 100 %, on every
+        rank.
 
     Notes
     -----
@@ -247,7 +251,7 @@ def conforming(
 
     References
     ----------
-    Chiu2012 has such weights for finite-difference operators of fluids.
+    Chiu2012, for finite-difference operators of fluids.
     """
     s = np.zeros((cloud.n_local, cloud.dim))
     surface.spread(surface.area, s)
@@ -269,7 +273,7 @@ def conforming(
     close = system.near_matrix(families)
     near = [one.turned(close) for one in systems]
     for _ in range(ROUNDS):
-        # What round-off of many iterations leaves the next round takes.
+        # The next round removes the round-off of many iterations.
         tolerance = max(0.1 * TOLERANCE * scale / after, 1e-12)
         parts = np.split(-left, len(systems), axis=1)
         solved = [solve(one, of_it, part, tolerance) for one, of_it, part in zip(systems, near, parts, strict=True)]
@@ -295,7 +299,7 @@ def conforming(
 
 
 def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int) -> str:
-    """Return what is said of changed weights ``g``; raise on all ranks where they are no good (collective)."""
+    """Return the note on changed weights ``g``; raise NoConformingWeights on all ranks if they are bad (collective)."""
     first = operator.point_ptr[:-1]
     changed, before = (np.add.reduceat((w**2).sum(axis=1), first) for w in (g - operator.g, operator.g))
     sums = total(cloud.comm, np.array([changed.sum(), before.sum()]))
@@ -306,7 +310,7 @@ def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int)
             f"Conforming weights would change by {whole:.2g} times what they are, most of all by {change:.2g} times at "
             f"{worst}: families leave too little to choose; widen the horizon."
         )
-    # Seen from the middle of the rank, so that bodies far from the origin have no more round-off.
+    # Relative to the middle of the rank, to avoid round-off for bodies far from the origin.
     linear = replace(operator, g=g).gradient(cloud.x - cloud.x[: cloud.n_owned].mean(axis=0))
     off = np.abs(linear - np.eye(cloud.dim)).max(axis=(1, 2), initial=0.0)
     inexact, where = _worst(cloud, off, cloud.x[operator.owner])
@@ -322,7 +326,7 @@ def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int)
 
 
 def _worst(cloud: Cloud, values: Float, x: Float) -> tuple[float, list[float]]:
-    """Return the largest of values (n,) of all ranks, and where it is (collective)."""
+    """Return the largest of values (n,) of all ranks, and its position (collective)."""
     here = (float(values.max()), x[int(np.argmax(values))].tolist()) if len(values) else (0.0, [])
     value, where = max(cloud.comm.allgather(here))
     return value, where

@@ -21,13 +21,13 @@ class Corrected(Scheme):
 
     The coefficients make the gradient exact for polynomials of degree N (order 1 is plain correspondence):
     ``sum_j g_ij q(xi_ij)`` is 1 for the linear monomial of its component and 0 for every other. The moment matrix is
-    scaled by the horizon; directions that the family cannot tell apart are left out. Where a condition then fails, or
-    the weights nearly cancel, the particle takes the next lower order.
+    scaled by the horizon, and its near-zero eigenvalues are dropped. If a condition then fails, or the weights nearly
+    cancel, the particle uses the next lower order.
 
     Parameters
     ----------
     order : int
-        Degree N, at least 1; order N needs about N / 2 shells of neighbours.
+        Degree N, at least 1; order N requires about N / 2 shells of neighbours.
 
     References
     ----------
@@ -50,7 +50,7 @@ class Corrected(Scheme):
             raise CaseError(f"The order of a corrected gradient lies between 1 and {MOST_ORDER}, not {self.order}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         reach = cloud.local_horizon[families.centres]
         xi = families.bonds(cloud.x) / reach[:, None]

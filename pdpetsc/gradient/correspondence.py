@@ -15,8 +15,8 @@ from pdpetsc.gradient.base import GradientOperator, Scheme, operator, regular_sh
 class Correspondence(Scheme):
     """Plain correspondence, ``F_i = I + sum_j omega V_j eta_ij (x) K_i^-1 xi_ij``.
 
-    Displacements that alternate from particle to particle cancel in the sum and have no energy: add a zero-energy
-    control, or take another scheme, where the load can excite them.
+    Displacements that alternate from particle to particle cancel in the sum and have no energy. Add a zero-energy
+    control or use another scheme if the load can excite them.
 
     References
     ----------
@@ -31,7 +31,7 @@ class Correspondence(Scheme):
     of_family: ClassVar[bool] = True
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         regular_shape_tensors(cloud, families, weight, "plain correspondence")
         return operator(cloud, whole_families(cloud, families, weight))

@@ -28,14 +28,15 @@ class HigherOrder(Scheme):
     """Higher-order correspondence: scalar weights ``omega C(xi)`` whose moments of degree 3 to N + 1 vanish.
 
     ``F_i = I + sum_j omega C_ij V_j eta_ij (x) K_i^-1 xi_ij`` as in plain correspondence and with its shape tensor, but
-    the terms of degree 2 to N of a Taylor series of u drop out of the sum. ``C = 1 + c . q(xi)`` departs least from 1,
-    with monomials q of degrees 2 to N + 1. Weights may be negative. Where the family is too small for the conditions
-    the particle takes the next lower order; order 1 is plain correspondence.
+    the terms of degree 2 to N of a Taylor series of u vanish from the sum. ``C = 1 + c . q(xi)``, with monomials q of
+    degrees 2 to N + 1, is as near to 1 as possible. Weights may be negative. If the family is too small for the
+    conditions, the particle uses the next lower order. Order 1 is plain correspondence.
 
     Parameters
     ----------
     order : int
-        Degree N of the Taylor series, at least 1. On a symmetric lattice even orders equal the odd ones below them.
+        Degree N of the Taylor series, at least 1. On a symmetric lattice an even order is equal to the odd order below
+        it.
 
     References
     ----------
@@ -59,7 +60,7 @@ class HigherOrder(Scheme):
             raise CaseError(f"The order of higher-order weights lies between 1 and {MOST_ORDER}, not {self.order}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "higher-order weights")
         xi = families.bonds(cloud.x)

@@ -1,7 +1,7 @@
-"""The gradient operator of a body on a lattice whose families repeat: one list of weights for all that share one.
+"""The gradient operator of a lattice: particles with equal families share one list of weights.
 
-The particles whose families do not repeat are a body of their own (``discrete.lattice_stencils.IrregularRest``), with
-one particle of each pattern of the others. The weights of a pattern are those of that particle.
+The particles with unique families form a separate body (``discrete.lattice_stencils.IrregularRest``). It also contains
+one particle of each pattern; the weights of a pattern are those of this particle.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, PointLoop, SameGradient
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
-# Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
+# Tolerance for opposite weights and equal stiffnesses of opposite members, as a share of the largest.
 OPPOSITE = 1e-12
 NO_SETS = np.empty(0, dtype=np.int32)
 NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0, 0, 0)))
@@ -26,21 +26,21 @@ NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights of the points of each pattern, opposite members with opposite weights taken together.
+    """The weights of the points of each pattern. Opposite members with opposite weights are one entry.
 
     Attributes
     ----------
     list_ptr : (n_patterns + 1,) int64
-        Where the points of each pattern start.
+        Start of the points of each pattern.
     entry_ptr : (n_lists + 1,) int64
-        Where the entries of each point start.
+        Start of the entries of each point.
     plus, minus : (n_entries,) int64
-        Steps in cells: an entry takes the difference of the displacements there; ``minus`` is 0, the centre, for a
+        Steps in cells: an entry multiplies the difference of the displacements there. ``minus`` is 0, the centre, for a
         single member.
     g : (n_entries, dim) float64
         Weights [1 / length].
     centre : (n_lists, dim) float64
-        Weights of the centre less what entries with two members give it [1 / length].
+        Weights of the centre, without the contribution of entries with two members [1 / length].
     """
 
     list_ptr: GlobalIndex
@@ -52,13 +52,13 @@ class Weights:
 
     @cached_property
     def arrays(self) -> tuple[tuple[GlobalIndex, ...], Float, Float, Float]:
-        """Return the steps and the components of the weights as loops over rows take them."""
+        """Return the steps and the components of the weights, as arguments of loops over rows."""
         dim = self.g.shape[1]
         columns = [np.ascontiguousarray(self.g[:, min(axis, dim - 1)]) for axis in range(3)]
         return (self.list_ptr, self.entry_ptr, self.plus, self.minus), columns[0], columns[1], columns[2]
 
     def of_members(self, steps: Sequence[GlobalIndex], values: Sequence[Float]) -> Float | None:
-        """Return values (n_entries,) of the members of each point; None where two of an entry have different ones."""
+        """Return values (n_entries,) of the members of each point; None if two members of an entry differ."""
         found = np.empty(len(self.plus))
         for number, (one, of_one) in enumerate(zip(steps, values, strict=True)):
             entries = slice(int(self.entry_ptr[number]), int(self.entry_ptr[number + 1]))
@@ -73,7 +73,7 @@ class Weights:
 
 
 def weights_of(points: Sequence[Sequence[tuple[GlobalIndex, Float]]], dim: int) -> Weights:
-    """Return the weights of the points of each pattern, given as steps (n,) and weights (n, dim) of their members."""
+    """Return the weights of the points of each pattern, from steps (n,) and weights (n, dim) of their members."""
     list_ptr = np.concatenate([[0], np.cumsum([len(lists) for lists in points])]).astype(np.int64)
     flat = [one for lists in points for one in lists]
     found = [_paired(steps, g) for steps, g in flat]
@@ -95,7 +95,7 @@ def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Flo
     other = np.array([where.get(-int(step), number) for number, step in enumerate(steps)], dtype=np.int64)
     size = float(np.abs(g).max(initial=0.0))
     opposite = (other != np.arange(len(steps))) & (np.abs(g + g[other]).max(axis=1) <= OPPOSITE * size)
-    # One of two opposite members stands for both.
+    # One of two opposite members represents both.
     kept = ~opposite | (steps > 0)
     minus = np.where(opposite, -steps, 0)
     mean = np.where(opposite[:, None], 0.5 * (g - g[other]), g)
@@ -103,16 +103,16 @@ def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Flo
 
 
 class LatticeGradient(GradientOperator):
-    """``GradientOperator`` that keeps one list of weights for all particles that share a family.
+    """``GradientOperator`` that stores one list of weights for all particles with equal families.
 
-    ``g``, ``members`` and ``point_ptr`` list all weights for whoever asks for them.
+    ``g``, ``members`` and ``point_ptr`` list all weights on first use.
 
     Parameters
     ----------
     irregular : GradientOperator
         The operator of ``lattice.irregular``.
     lattice : LatticeStencils
-        Which families repeat.
+        Patterns of families.
     """
 
     irregular: GradientOperator
@@ -130,12 +130,12 @@ class LatticeGradient(GradientOperator):
 
     @cached_property
     def points_of(self) -> GlobalIndex:
-        """Return where the points of every own particle start (n_owned + 1,)."""
+        """Return the start of the points of every own particle (n_owned + 1,)."""
         return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.lattice.shared)))])
 
     @cached_property
     def alone(self) -> GlobalIndex:
-        """Return the points of particles whose families do not repeat."""
+        """Return the points of particles with unique families."""
         return np.flatnonzero(~self.lattice.shared[self.owner])
 
     @cached_property
@@ -163,11 +163,11 @@ class LatticeGradient(GradientOperator):
         return self.irregular.volume[self.irregular.points_of[self.lattice.irregular.n] :]
 
     def row_points(self, P: Float) -> RowPoints:
-        """Return what gives stresses P (n_points, dim, dim)."""
+        """Return the row points with stresses P (n_points, dim, dim)."""
         return RowPoints(self.points_of, self.point_volumes, P.reshape(len(P), -1), NO_SETS)
 
     def of_irregular(self, values: Float) -> Float:
-        """Return values of points (n_points, ...) at the points of ``irregular``: zero for those of a pattern."""
+        """Return values of points (n_points, ...) at the points of ``irregular``, zero at those of a pattern."""
         found = np.zeros((self.irregular.n_points, *values.shape[1:]))
         found[: len(self.alone)] = values[self.alone]
         return found
@@ -201,15 +201,15 @@ class LatticeGradient(GradientOperator):
         add_row_forces(self.lattice, self.lattice.whole, self.weights, self.row_points(P), control, u, f)
 
     def adds_together(self, same: SameGradient | None) -> bool:
-        """Return whether a control repeats as the weights do."""
+        """Return True if a control uses the same patterns as the weights."""
         return isinstance(same, LatticeSharedGradient)
 
     def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
-        """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
+        """Return ``G^T (W A) G``; if forces have other weights ``h``, list all weights."""
         return LatticeLoop(self, A) if h is None else self.listed.loop(A, h)
 
     def at(self, points: GlobalIndex) -> GradientOperator:
-        """Return the operator of some points (n,) alone, ascending (not collective)."""
+        """Return the operator of selected points (n,), ascending (not collective)."""
         lattice, irregular, owner = self.lattice, self.irregular, self.owner[points]
         first = irregular.points_of[lattice.represented_by[owner]]
         entries, ptr = entries_of(irregular.point_ptr, first + points - self.points_of[owner])
@@ -223,7 +223,7 @@ class LatticeGradient(GradientOperator):
 
     @property
     def point_ptr(self) -> GlobalIndex:
-        """Return where the members of each point start."""
+        """Return the start of the members of each point."""
         return self.listed.point_ptr
 
     @property
@@ -239,7 +239,7 @@ class LatticeGradient(GradientOperator):
 
 @dataclass(frozen=True)
 class RowPoints:
-    """What gives the stress at points whose weights repeat.
+    """Stresses or moduli at points with shared weights.
 
     Attributes
     ----------
@@ -248,9 +248,9 @@ class RowPoints:
     volume : (n_lists,) float64
         Volumes of the points of each pattern [volume].
     stress : (n_points, dim dim) or (n_sets, dim dim, dim dim) float64
-        Stress, or moduli that give it from the gradient of the displacement [stress].
+        Stress, or moduli that multiply the gradient of the displacement [stress].
     of : (n_points,) int32
-        Which moduli each point has; none where each has its own.
+        Index of the moduli of each point; empty if each point has its own.
     """
 
     first: GlobalIndex
@@ -265,7 +265,7 @@ class LatticeSharedGradient(SameGradient):
     Parameters
     ----------
     irregular : SameGradient
-        The control of the particles whose families do not repeat, without stiffness at those that stand for a pattern.
+        The control of the particles with unique families, without stiffness at particles that represent a pattern.
     weight : (n_entries,) float64
         ``w_ij`` of the entries of the weights of the gradient [force / length].
     K : (n_patterns, dim, dim) float64
@@ -279,7 +279,7 @@ class LatticeSharedGradient(SameGradient):
 
 
 class LatticeLoop(PointLoop):
-    """``G^T (W A) G`` of an operator whose weights repeat, with the forces of a control on the same gradient.
+    """``G^T (W A) G`` of an operator with shared weights, with the forces of a control on the same gradient.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class LatticeLoop(PointLoop):
         self._same: LatticeSharedGradient | None = None
 
     def controlled(self, same: SameGradient | None) -> PointLoop | None:
-        """Return the loop with a control that repeats as the weights do, None for another."""
+        """Return the loop with a control that uses the same patterns as the weights; None for other controls."""
         if not isinstance(same, LatticeSharedGradient):
             return None
         alone = self._alone.controlled(same.irregular)
@@ -312,7 +312,7 @@ class LatticeLoop(PointLoop):
         return found
 
     def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the points of some own particles for displacements (n_local, dim)."""
+        """Add the forces of the points of selected own particles for displacements (n_local, dim)."""
         operator, lattice = self._operator, self._operator.lattice
         part, own = lattice.part(particles), lattice.irregular
         if len(part.alone):
@@ -334,16 +334,16 @@ def add_row_forces(
     lattice: LatticeStencils, part: Part, weights: Weights, points: RowPoints | None,
     same: LatticeSharedGradient | None, u: Float | None, f: Float,
 ) -> None:  # fmt: skip
-    """Add the forces of points whose weights repeat, and of a control on their gradient, to ``f`` (n_local, dim).
+    """Add the forces of points with shared weights, and of a control on their gradient, to ``f`` (n_local, dim).
 
     Parameters
     ----------
     points : RowPoints, optional
-        What gives their stress; none where absent.
+        Their stresses or moduli; no stress if absent.
     same : LatticeSharedGradient, optional
         The control.
     u : (n_local, dim) float64, optional
-        Displacements [length]; not read where stresses are given and there is no control.
+        Displacements [length]; not read if there are stresses and no control.
     """
     if not part.rows.count:
         return

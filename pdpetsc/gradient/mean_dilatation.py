@@ -14,55 +14,57 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Patches, Scheme
 
-# Where the first patch begins, in patches before the first particle: particles of a lattice do not lie on borders.
+# Start of the first patch, in patches before the first particle, so that no particle of a lattice lies on a border.
 BEFORE = 0.25
 
 
 @dataclass(frozen=True)
 class MeanDilatation(Scheme):
-    """A scheme whose gradients share one dilatation in each patch of particles, for nearly incompressible bodies.
+    """Use one dilatation for all gradient points of a patch, for nearly incompressible bodies.
 
-    A body that keeps its volume must keep it at every gradient point, and schemes with many points have more such
-    conditions than displacements: they lock. Here patches, the boxes of a grid with edges ``patch``, have one condition
-    each. With the mean over the points of a patch ``<.>``, quadrature volumes W as weights, a material sees ``F_bar``
-    in the place of F, in the energy as well, so that forces and tangent derive from one energy::
+    An incompressible body preserves its volume at every gradient point. Schemes with many points have more such
+    conditions than displacements and lock. Here each patch, a box of a grid with edges ``patch``, has one condition.
+    ``<.>`` is the mean over the points of a patch, weighted with the quadrature volumes W. The material is evaluated at
+    ``F_bar`` instead of F, in the energy too, so that forces and tangent derive from one energy::
 
         theta = ln det F,   F_bar = exp((<theta> - theta) / dim) F
         E = sum_p W_p (psi(F_bar_p) + share mu (<theta> - theta_p)^2)
         P = s P_bar + (<r> - r) F^-T,   s = exp((<theta> - theta) / dim)
         r = P_bar : F_bar / dim + 2 share mu (<theta> - theta)
 
-    for linear materials ``theta = tr F - dim`` and ``F_bar = F + (<theta> - theta) / dim I``. The second part of the
-    energy is that of dilatations that the mean does not see: without it they meet no force. Uniform states have ``F_bar
-    = F``. The pressure is nearly constant in a patch, so its error falls with the edge; an edge of two spacings leaves
-    one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of ranks.
-    Their boxes lie along the axes of ``SubHorizons``, which turn with the body, and end at mirror planes. Particles of
-    several materials in one box are in several patches, and so are those of a graded one between which moduli jump, by
-    a quotient of 1.5 or more, and pieces of a box that no bonds inside it hold together, as on both sides of a crack.
-    Around the tip of a crack, which bonds of the box still go around, both sides share their dilatation.
+    For linear materials ``theta = tr F - dim`` and ``F_bar = F + (<theta> - theta) / dim I``. The second part of the
+    energy resists deviations from the mean dilatation, which otherwise have no stiffness. Uniform states have
+    ``F_bar = F``. The pressure is nearly constant in a patch, so its error decreases with the edge. With an edge of two
+    spacings there is one condition per eight displacements in 2D, per 24 in 3D.
 
-    A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``. Walls hold the pressure where
-    they hold particles on the surface itself, with conforming weights, or layers two horizons deep; else the stress is
-    far too low, and the run says so.
+    Patches do not depend on the number of ranks. Their boxes lie along the axes of ``SubHorizons``, which rotate with
+    the body, and end at mirror planes. The particles of a box belong to separate patches if they have different
+    materials, or if the moduli of a graded material jump between them by a factor of 1.5 or more. Pieces of a box that
+    no bonds inside the box connect, as on both sides of a crack, are separate patches too. Around a crack tip bonds of
+    the box still connect both sides, and these share their dilatation.
+
+    Controls are scaled with the bulk modulus by default; use ``ByShear``. A wall carries the pressure only if it holds
+    particles on the surface itself, with conforming weights, or layers two horizons deep. Otherwise the stress is far
+    too low, and the run warns.
 
     Parameters
     ----------
     scheme : Scheme
-        Where gradients are evaluated, and with which weights.
+        Scheme of the gradient points and weights.
     patch : float
-        Edge of a patch [length], positive; two spacings.
+        Edge of a patch [length], positive; use two spacings.
     share : float
-        Stiffness of dilatations that the mean does not see over twice the shear modulus [-], not negative.
+        Stiffness against deviations from the mean dilatation, over twice the shear modulus [-], not negative.
 
     Raises
     ------
     CaseError
-        A number is out of range, or ``scheme`` has patches already; when built, of a bar, of a body in plane stress
-        or of one whose bonds fail.
+        A number is out of range, or ``scheme`` has patches already. When built: the body is a bar, is in plane stress,
+        or has bonds that fail.
 
     References
     ----------
-    deSouzaNeto2005, who average det F over patches of elements; the energy is of this package.
+    deSouzaNeto2005, who average det F over patches of elements; the energy is that of this package.
 
     Examples
     --------
@@ -85,38 +87,38 @@ class MeanDilatation(Scheme):
             raise CaseError(f"{type(self.scheme).__name__} has patches already; give MeanDilatation another scheme.")
 
     def of_unit_spacing(self) -> Scheme:
-        """Return it with patches of two spacings."""
+        """Return the scheme with patches of two spacings."""
         return replace(self, scheme=self.scheme.of_unit_spacing(), patch=2.0)
 
     @property
     def patches(self) -> Patches:
-        """Return which gradient points share a dilatation."""
+        """Return the patches of gradient points that share a dilatation."""
         return Patches(self.patch, self.share)
 
     def memory(self, dim: int, family: float) -> float:
-        """Return that of the scheme."""
+        """Return the memory of the scheme."""
         return self.scheme.memory(dim, family)
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator of the scheme (collective)."""
+        """Build the operator of the scheme (collective)."""
         return self.scheme.build(cloud, families, omega)
 
 
 def boxes(comm: Comm, x: Float, edge: float) -> GlobalIndex:
-    """Return in which box of a grid particles are, by the numbers of the box along the axes (n, dim).
+    """Return the box of a grid that contains each particle, as its numbers along the axes (n, dim).
 
     Parameters
     ----------
     x : (n, dim) float64
-        Positions of particles that this rank holds, along the axes of the grid [length]; the grid begins at the least
-        of all ranks.
+        Positions of particles of this rank, along the axes of the grid [length]. The grid begins at the smallest of all
+        ranks.
     edge : float
         Edge of a box [length].
 
     Raises
     ------
     CaseError
-        There are more boxes along an axis than can be numbered, on every rank.
+        An axis has more boxes than can be numbered, on every rank.
 
     Notes
     -----

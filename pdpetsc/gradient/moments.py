@@ -14,12 +14,12 @@ from pdpetsc.discrete.communicator import largest
 
 # Eigenvalues of a moment matrix, scaled by the horizon, below this share of the largest count as zero.
 RANK = 1e-10
-# A condition on a moment holds when it is met to this share of its size.
+# Relative tolerance of a condition on a moment.
 MET = 1e-8
-# Weights are refused where ``horizon sum_k |g_k|`` exceeds this [-]: they nearly cancel then, as in a family with
-# hardly more bonds than conditions.
+# Largest ``horizon sum_k |g_k|`` [-] of accepted weights. Larger weights nearly cancel, as in a family with hardly more
+# bonds than conditions.
 GAIN = 20.0
-# Monomials of higher degrees cannot be told apart in double precision, and their moment matrices take far too long.
+# Monomials of higher degrees are indistinguishable in double precision, and their moment matrices are too expensive.
 MOST_ORDER = 12
 # Largest number of entries of moment matrices in memory at once.
 BLOCK = 2**22
@@ -27,7 +27,7 @@ BLOCK = 2**22
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the weights of one family must satisfy, ``sum_k weight_k C_k q(xi_k) = target``.
+    """Conditions on the weights of a family, ``sum_k weight_k C_k q(xi_k) = target``.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Conditions:
 
     @classmethod
     def of_degrees(cls, dim: int, lowest: int, highest: int) -> Conditions:
-        """Return all monomials of the given degrees, lowest first."""
+        """Return all monomials of degrees ``lowest`` to ``highest``, lowest first."""
         powers = itertools.product(range(highest + 1), repeat=dim)
         kept = sorted((p for p in powers if lowest <= sum(p) <= highest), key=lambda p: (sum(p), [-n for n in p]))
         return cls(np.array(kept, dtype=np.int64).reshape(-1, dim))
@@ -52,7 +52,7 @@ class Conditions:
 def blocks(
     indptr: GlobalIndex, chosen: GlobalIndex, width: int
 ) -> Iterator[tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]]:
-    """Yield chosen families in blocks: numbers, bonds, where each family starts in these, family of each bond."""
+    """Yield chosen families in blocks: numbers, bonds, start of each family in the bonds, family of each bond."""
     size = np.diff(indptr)[chosen]
     start = 0
     while start < len(chosen):
@@ -67,7 +67,7 @@ def blocks(
 
 
 def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[Float, Float, Float]:
-    """Return the coefficients c of ``C_k = c . q_k`` that meet the targets with the least weighted norm.
+    """Compute the coefficients c of ``C_k = c . q_k`` that meet the targets with the smallest weighted norm.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[F
     weight : (n_bonds,) float64
         Positive weights.
     first : (n,) int
-        Where each family starts; none is empty.
+        Start of each family; no family is empty.
     target : (n, n_basis, m) float64
         Right hand sides.
 
@@ -100,7 +100,7 @@ def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[F
 
 
 def conditioning_note(cloud: Cloud, worst: float, lowered: Float) -> str:
-    """Return the note for the log from the largest condition number and how often orders were lowered (collective)."""
+    """Return the log note on the largest condition number and the number of lowered orders (collective)."""
     note = f"moment matrices have condition numbers up to {largest(cloud.comm, worst):.1e}"
     steps = cloud.counted(lowered)
     return f"{note}; the order was lowered {steps} times where families are too small for it" if steps else note

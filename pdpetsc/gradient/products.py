@@ -1,7 +1,7 @@
-"""What tangents are the sum of: ``sum_s h_s (x) A_s (x) g_s`` over stencils, in a few kinds.
+"""Summands of tangents: products ``sum_s h_s (x) A_s (x) g_s`` over stencils.
 
-A product is applied to a displacement, adds its rows to a matrix, and adds its diagonal blocks; solvers need no more.
-Controls are products too (``control.base.Control``).
+A product is applied to a displacement, adds its rows to a matrix, and adds its diagonal blocks. Controls are products
+too (``control.base.Control``).
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.rank_one import rank_one_blocks_kernel, rank_one_rows_kernel, rank_one_times_kernel
 from pdpetsc.kernels.rows import RowLayout
 
-# Adds forces for a displacement, both with ghosts (n_local, dim), of the stencils of some own particles.
+# Adds the forces of the stencils of selected own particles for a displacement, both with ghosts (n_local, dim).
 Loop: TypeAlias = Callable[[Float, Float, LocalIndex], None]
 
 
 @dataclass(frozen=True)
 class Entries:
-    """Values of the tangent matrix, which products add their rows to.
+    """Values of the tangent matrix, to which products add their rows.
 
     Attributes
     ----------
     sparsity : Sparsity
-        The blocks there are.
+        Blocks of the matrix.
     diag, off : float64
         Values of the own rows, own columns and others, in scalar CSR layout.
     ghost : float64
         This rank's share of the rows of its ghosts.
     component : int or None
-        The component of the displacement that blocks of one value have; None for whole blocks.
+        Component of the displacement if blocks have one value; None for whole blocks.
     """
 
     sparsity: Sparsity
@@ -54,16 +54,16 @@ class Entries:
         return cls(sparsity, diag, off, ghost, component)
 
     def add(self, kernel: Callable[..., Any], stencils: StencilMembers, *data: Any) -> None:
-        """Add the rows of own particles and of ghosts that stencils give (not collective).
+        """Add the rows of stencils, of own particles and of ghosts (not collective).
 
         Parameters
         ----------
         kernel : callable
-            Adds rows, with a ``RowLayout``, the data, and the values in own and in other columns for arguments.
+            Adds rows. Its arguments are a ``RowLayout``, the data, and the values in own and in other columns.
         stencils : StencilMembers
-            What the kernel runs over.
+            Stencils of the kernel.
         data
-            What it reads after the layout.
+            Arguments of the kernel after the layout.
         """
         sparsity = self.sparsity
         by_particle = stencils.by_particle(sparsity.cloud.n_local)
@@ -78,36 +78,36 @@ class Entries:
 
 
 class Product:
-    """A linear map from displacements to forces, which tangents are a sum of.
+    """A linear map from displacements to forces; a tangent is a sum of products.
 
-    A term without ghosts (a foundation, a spring) gives ``PointBlocks``; one that couples families derives from this
-    class and gives ``add_product``, ``add_rows`` and ``stiffness``.
+    A term without ghosts (a foundation, a spring) returns ``PointBlocks``. A term that couples families derives from
+    this class and defines ``add_product``, ``add_rows`` and ``stiffness``.
     """
 
     @property
     def blocks(self) -> Float | None:
-        """Return the blocks that couple each own particle to itself (n_owned, dim, dim) [force / length], or None."""
+        """Return the blocks of each own particle with itself (n_owned, dim, dim) [force / length]; None without any."""
         return None
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add ``K du`` of the families of some own particles, both with ghosts (n_local, dim) (not collective)."""
+        """Add ``K du`` of the families of selected own particles, both with ghosts (n_local, dim) (not collective)."""
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the matrix (collective)."""
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add what couples each local particle to itself in the families (n_local, dim, dim) [force / length].
+        """Add the diagonal blocks of the families of local particles (n_local, dim, dim) [force / length].
 
-        These are the blocks on the diagonal of the rows that ``add_rows`` adds, but for bonds that soften: those count
-        with their secant. What ``blocks`` gives is not among them. Return False, with nothing added, if they are not
-        known; they are then computed from the rows (not collective).
+        These are the diagonal blocks of the rows that ``add_rows`` adds, except that softening bonds count with their
+        secant. The blocks of ``blocks`` are not included. If the diagonal blocks are not available, add nothing and
+        return False; they are then computed from the rows (not collective).
         """
         return False
 
     def stiffness(self) -> Float | None:
         """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
 
-        It is what a matrix of nearest neighbours is made of (not collective).
+        The matrix of nearest neighbours is assembled from it (not collective).
         """
         return None
 
@@ -117,20 +117,20 @@ class Product:
         return None if D is None else np.asarray(np.einsum("pikik->p", D))
 
     def constraint(self) -> ConstraintProduct | None:
-        """Return it if it is so stiff that it is nearly conditions on the displacement, else None (not collective)."""
+        """Return the product if its stiffness makes it nearly a constraint, else None (not collective)."""
         return None
 
     def together(self, other: Product) -> Loop | None:
-        """Return ``add_product`` of both in one loop if that is quicker, else None (not collective)."""
+        """Return ``add_product`` of both in one loop if that is faster, else None (not collective)."""
         return None
 
     def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return data of its forces for the loop over ``operator``, None unless it is a control on that gradient."""
+        """Return the data of a control for the loop over ``operator``; None if this is no control on that gradient."""
         return None
 
 
 class PointBlocks(Product):
-    """What couples each particle to itself alone, as foundations and springs.
+    """Blocks that couple each particle to itself only, such as foundations and springs.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class PointBlocks(Product):
         return self._blocks
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add nothing: no family is in it."""
+        """Add nothing: there are no families."""
         return True
 
 
@@ -161,9 +161,9 @@ class PointProduct(Product):
     A : Moduli
         Moduli of the points.
     h : (n_entries, dim) float64, optional
-        Weights with which points put forces on particles [1 / length]; those of the gradient if absent.
+        Weights of the forces of points on particles [1 / length]; those of the gradient if absent.
     share : callable, optional
-        Returns what is left of the stiffness of each own particle with such weights (n_owned,) [-].
+        Returns the remaining share of the stiffness of each own particle with such weights (n_owned,) [-].
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class PointProduct(Product):
         return True
 
     def stiffness(self) -> Float:
-        """Return the sum over the points of each particle, times its share."""
+        """Return the stiffness summed over the points of each particle, times its share."""
         operator, A = self._operator, self._A
         if A.of is None:
             D = operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
@@ -206,7 +206,7 @@ class PointProduct(Product):
         return np.asarray(D if self._share is None else D * self._share()[:, None, None, None, None])
 
     def strength(self) -> Float:
-        """Return the trace of ``stiffness`` without forming it."""
+        """Return the trace of ``stiffness`` without assembling it."""
         operator, A = self._operator, self._A
         trace = np.einsum("pikik->p", A.values)
         sums = operator.sum_over_points(operator.volume * (trace if A.of is None else trace[A.of]))
@@ -214,7 +214,7 @@ class PointProduct(Product):
 
 
 class RankOneProduct(Product):
-    """``sum_s b_s h_s (x) g_s``: a vector of forces on the members of a stencil times one number of its displacements.
+    """``sum_s b_s h_s (x) g_s``: each stencil has one vector of forces and one scalar of its displacements.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ class RankOneProduct(Product):
     h, g : (n_entries, dim) float64
         Vectors of the members; ``g`` sums to zero in each stencil.
     b : (n_stencils,) float64
-        What multiplies each stencil. ``b h g`` is a force per length.
+        Factor of each stencil. ``b h g`` is a force per length.
     """
 
     def __init__(self, stencils: StencilMembers, n_owned: int, h: Float, g: Float, b: Float) -> None:
@@ -247,9 +247,9 @@ class RankOneProduct(Product):
 
 
 class SofteningProduct(RankOneProduct):
-    """What bonds add to a tangent as they lose force: force of the intact bond times gradient of its degradation.
+    """Softening part of a tangent: force of the intact bond times gradient of its degradation factor.
 
-    It is not in the diagonal blocks, which count such bonds with their secant.
+    It is not part of the diagonal blocks, which use the secant of such bonds.
     """
 
     def add_point_blocks(self, blocks: Float) -> bool:
@@ -258,7 +258,7 @@ class SofteningProduct(RankOneProduct):
 
 
 class ConstraintProduct(RankOneProduct):
-    """``sum_c D_c b_c (x) b_c``, so stiff that it is nearly one condition ``b_c . du = 0`` for each stencil.
+    """``sum_c D_c b_c (x) b_c``, so stiff that each stencil has nearly a constraint ``b_c . du = 0``.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ class ConstraintProduct(RankOneProduct):
     D : (n,) float64
         ``D_c`` [energy].
     soft : (n,) float64
-        What the rest of the tangent resists such displacements with, about [energy].
+        Approximate stiffness of the rest of the tangent against such displacements [energy].
     """
 
     def __init__(self, stencils: StencilMembers, n_owned: int, b: Float, D: Float, soft: Float) -> None:

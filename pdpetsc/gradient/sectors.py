@@ -24,7 +24,7 @@ from pdpetsc.gradient.base import (
 def sector_operator(
     cloud: Cloud, families: Families, omega: Float, share: Float, distance: Float, name: str, note: str = ""
 ) -> GradientOperator:
-    """Return the operator with one point per sector that has a gradient (collective).
+    """Build the operator with one point per sector that has a gradient (collective).
 
     Parameters
     ----------
@@ -33,16 +33,17 @@ def sector_operator(
     share : (n_bonds, n_sectors) float64
         Share of every bond in every sector; a row sums to 1.
     distance : (n_sectors, n_sectors) float64
-        How far sectors lie apart: one whose own bonds are too flat hands them to the nearest others, in equal parts.
+        Distance between sectors. If the bonds of a sector are too flat, they are added to the nearest sectors in equal
+        parts.
     name : str
         Name of the scheme, for messages.
     note : str
-        What the log says of the sectors.
+        Note on the sectors for the log.
 
     Raises
     ------
     CaseError
-        No sector of a family gives a gradient, nor does the whole family.
+        Neither a sector of a family nor the whole family has a gradient.
     """
     weight = omega * cloud.volume[families.neighbours]
     empty = np.empty((cloud.n_owned, share.shape[1]), dtype=bool)
@@ -63,13 +64,13 @@ def sector_operator(
         note = "; ".join(filter(None, [note, few]))
     owner, sector, number = _numbered(points)
     stencils = with_centres(*_listed(owner, number, centres, families.neighbours, weight, share))
-    # Of a particle without a gradient in any sector argmax gives the first, which has its point.
+    # If no sector of a particle has a gradient, argmax returns the first, which has the point of the particle.
     served_by = np.take_along_axis(number, merging.argmax(axis=2), axis=1)
     return replace(operator(cloud, stencils, note), parts=Parts(sector, served_by))
 
 
 def _merging(empty: Mask, distance: Float) -> Float:
-    """Return ``M[i, a, c]``: the share of sector ``a`` of particle ``i`` that point ``c`` takes over."""
+    """Return ``M[i, a, c]``: the share of sector ``a`` of particle ``i`` that is added to point ``c``."""
     reach = np.where(empty[:, None, :], np.inf, distance[None])
     nearest = reach == reach.min(axis=2, keepdims=True)
     nearest &= np.isfinite(reach)
@@ -77,7 +78,7 @@ def _merging(empty: Mask, distance: Float) -> Float:
 
 
 def _numbered(points: Mask) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-    """Return owner and sector of the points, and the point of each sector of a particle, -1 where it has none."""
+    """Return owner and sector of the points, and the point of each sector of a particle, -1 if it has none."""
     owner, sector = np.nonzero(points)
     number = np.full(points.shape, -1, dtype=np.int64)
     number[owner, sector] = np.arange(len(owner))

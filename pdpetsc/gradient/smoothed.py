@@ -19,17 +19,16 @@ from pdpetsc.kernels.gradient import smoothed_moments_kernel
 class SmoothedDisplacement(Scheme):
     """Correspondence with the averaged displacement, ``F_i = I + sum_j omega V_j (ubar_j - ubar_i) (x) xi_ij B_i^-1``.
 
-    ``ubar_j`` is the mean of u over the particles within ``radius`` horizons of j, j among them, and the sum goes over
-    the neighbours within the rest of the horizon, so that no family reaches further than its horizon. With
-    ``B_i = sum_j omega V_j (xbar_j - xbar_i) (x) xi_ij`` affine displacements are exact up to the surface. There is no
-    coefficient to choose, but the average hides the shortest waves from F instead of resisting them: u keeps them, the
-    averaged displacement does not. For comparison only.
+    ``ubar_j`` is the mean of u over the particles within ``radius`` horizons of j, including j. The sum is over the
+    neighbours within the rest of the horizon, so that no family exceeds its horizon. With ``B_i = sum_j omega V_j
+    (xbar_j - xbar_i) (x) xi_ij`` affine displacements are exact up to the surface. There is no coefficient. The average
+    removes the shortest waves from F but does not resist them: they remain in u. For comparison only.
 
     Parameters
     ----------
     radius : float
-        Radius of the average, in horizons; horizon and rest must both hold neighbours, so horizons below two spacings
-        are refused.
+        Radius of the average, in horizons; the average and the rest of the horizon must both contain neighbours, so
+        horizons below two spacings are refused.
 
     References
     ----------
@@ -50,7 +49,7 @@ class SmoothedDisplacement(Scheme):
             raise CaseError(f"The radius of the average lies between 0 and 1 horizons, not {self.radius}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         reach = cloud.local_horizon[: cloud.n_owned] * (1.0 + HORIZON_TOLERANCE)
         moments = np.empty((len(weight), cloud.dim))

@@ -13,28 +13,28 @@ from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.sectors import sector_operator
 
-# A family counts as cut or irregular where its weighted mean bond is longer than this share of its mean bond length.
+# A family is cut or irregular if its weighted mean bond is longer than this share of its mean bond length.
 UNBALANCED = 0.02
-# A bond whose angle to the dividing plane has a smaller sine lies in it.
+# A bond lies in the dividing plane if the sine of its angle to the plane is smaller.
 IN_PLANE = 1e-8
 
 
 @dataclass(frozen=True)
 class StressPoints(Scheme):
-    """Stress points: a family is halved by the plane across a diagonal, each half has a gradient point.
+    """Stress points: a plane across a diagonal halves the family; each half has a gradient point.
 
-    The diagonal (1, +-1, +-1) is drawn per particle: one choice in 1D, two in 2D, four in 3D. Its axes turn with the
-    body as those of ``SubHorizons``; a body that turns by more than 45 degrees may have another draw. A bond in the
-    dividing plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts. A family
-    that is not balanced, because a boundary cuts it or positions are irregular, is halved across its mean bond instead:
-    along a flat face the halves are then mirror images of themselves and the face stays free of stress. Both rules
-    extend the method to wider horizons. A particle with a half too flat to give a gradient, as at every boundary of a
-    lattice of nearest neighbours, has one point over all bonds.
+    The diagonal (1, +-1, +-1) is drawn at random for each particle: one choice in 1D, two in 2D, four in 3D. Its axes
+    rotate with the body like those of ``SubHorizons``; after a rotation by more than 45 degrees the draw may differ. A
+    bond in the dividing plane belongs to both halves in equal parts; nearest neighbours on a lattice have no such
+    bonds. A family that a boundary cuts, or with irregular positions, is halved across its mean bond instead. Along a
+    flat face the halves are then mirror images of themselves and the face is free of stress. Both rules extend the
+    method to wider horizons. If a half is too flat for a gradient, as at every boundary of a lattice of nearest
+    neighbours, the particle has one point over all bonds.
 
     Parameters
     ----------
     seed : int
-        Seed of the draw, which depends on it and on the particle's global id only: the same on any number of ranks.
+        Seed of the draw. The draw depends on seed and global id of the particle only, not on the number of ranks.
 
     References
     ----------
@@ -50,7 +50,7 @@ class StressPoints(Scheme):
     seed: int = 1
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         draw = _drawn(cloud.gid[: cloud.n_owned], self.seed)
         diagonal = np.ones((cloud.n_owned, cloud.dim))
         for d in range(1, cloud.dim):
@@ -64,7 +64,7 @@ class StressPoints(Scheme):
         np.add.at(mean, families.centres, weight[:, None] * xi)
         np.add.at(size, families.centres, weight * length)
         unbalanced = np.linalg.norm(mean, axis=1) > UNBALANCED * size
-        # Towards the same side as the drawn one: bonds that break then leave either half its place and history.
+        # On the same side as the drawn diagonal, so that both halves keep their order and history if bonds break.
         mean[np.einsum("id,id->i", mean, diagonal) < 0.0] *= -1.0
         diagonal[unbalanced] = mean[unbalanced]
         diagonal /= np.linalg.norm(diagonal, axis=1, keepdims=True)

@@ -17,7 +17,7 @@ from pdpetsc.gradient.sectors import sector_operator
 
 # A bond this close to a border, as a share of a sector or of the horizon, lies on it.
 ON_BORDER = 1e-8
-# A family has a few hundred bonds; each sector takes a row of shares of them all.
+# A family has a few hundred bonds; each sector stores a row of shares of all of them.
 MOST_SECTORS = 256
 
 
@@ -26,21 +26,21 @@ class SubHorizons(Scheme):
     """Sub-horizons: a gradient point for each sector of the family.
 
     ``F_ia = I + sum_j chi_a omega V_j eta_ij (x) K_ia^-1 xi_ij`` with ``chi_a`` the share of the bond in sector ``a``.
-    A bond on the border of sectors is shared by them in equal parts: the open sectors of Chowdhury2018 leave it out,
-    but a lattice of nearest neighbours needs it. A sector whose own bonds are too flat to give a gradient hands them
-    to the nearest others, in equal parts, and has no point; the others share the volume.
+    Sectors share a bond on their border in equal parts. The open sectors of Chowdhury2018 exclude it, but a lattice of
+    nearest neighbours requires it. If the bonds of a sector are too flat for a gradient, they are added to the nearest
+    sectors in equal parts. The sector then has no point, and the others share the volume.
 
-    The sectors turn with the body. Their axes are the edges of its lattice; an irregular cloud has the principal axes
-    of the body. All particles share them. A body with neither, such as a disc of irregular particles with equal
-    principal moments, has the axes of space, and the log says so. The x axis of the body is the axis nearest to x in
-    space. Multiples of four sectors in 2D and eight in 3D do not depend on that choice; other numbers turn with the
-    body by less than 45 degrees.
+    The sectors rotate with the body. Their axes are the edges of its lattice, or the principal axes of an irregular
+    cloud; all particles share them. If the body has neither, such as an irregular disc with equal principal moments,
+    the coordinate axes are used, and the log reports it. The x axis of the body is the axis nearest to the x axis of
+    the coordinates. Multiples of four sectors in 2D and of eight in 3D do not depend on this choice. Other numbers of
+    sectors rotate with the body by less than 45 degrees only.
 
     Parameters
     ----------
     sectors : int, optional
-        Number of sectors. Halves, quadrants and octants where absent. In 1D an even number: shells of equal width on
-        each side; in 2D any number from 2: equal angles from the x axis of the body; in 3D an even number from 4: equal
+        Number of sectors; halves, quadrants and octants by default. In 1D an even number: shells of equal width on each
+        side. In 2D at least 2: equal angles from the x axis of the body. In 3D an even number, at least 4: equal
         longitudes from that axis, above and below.
 
     References
@@ -69,7 +69,7 @@ class SubHorizons(Scheme):
         return 40.0 * (1 + (2**dim if self.sectors is None else self.sectors))
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
-        """Return the operator (collective); raises CaseError where no sector of a family gives a gradient."""
+        """Build the operator (collective); raise CaseError if no sector of a family has a gradient."""
         xi = families.bonds(cloud.x)
         axes, note = body_axes(cloud, families, xi)
         xi = xi @ axes.T
@@ -99,7 +99,7 @@ def _side(component: Float, reach: Float) -> Float:
 
 
 def _between(position: Float, count: int, periodic: bool = False) -> Float:
-    """Return the shares of ``count`` unit intervals from 0 on, (n, count); on a border half to each side."""
+    """Return the shares of ``count`` unit intervals from 0 on, (n, count); half to each side on a border."""
     nearest = np.rint(position)
     on_border = np.abs(position - nearest) < ON_BORDER
     low = np.where(on_border, nearest - 1, np.floor(position)).astype(int)
@@ -112,7 +112,7 @@ def _between(position: Float, count: int, periodic: bool = False) -> Float:
 
 
 def _around(xi: Float, count: int) -> Float:
-    """Return the shares of ``count`` equal angles in the x-y plane, (n, count); on the z axis equal ones."""
+    """Return the shares of ``count`` equal angles in the x-y plane, (n, count); equal shares on the z axis."""
     angle = np.arctan2(xi[:, 1], xi[:, 0]) % (2.0 * np.pi)
     share = _between(angle * count / (2.0 * np.pi), count, periodic=True)
     on_axis = np.hypot(xi[:, 0], xi[:, 1]) < ON_BORDER * np.linalg.norm(xi, axis=1)
@@ -126,7 +126,7 @@ def _product(one: Float, other: Float) -> Float:
 
 
 def _apart(ring: int, layers: int, weight: int) -> Float:
-    """Return how far sectors ``(place on a ring, layer)`` lie apart; a step on the ring counts ``weight``."""
+    """Return the distances between sectors ``(place on a ring, layer)``; a step on the ring counts ``weight``."""
     place, layer = (index.ravel() for index in np.divmod(np.arange(ring * layers), layers))
     step = np.abs(place[:, None] - place[None])
     return np.asarray(weight * np.minimum(step, ring - step) + np.abs(layer[:, None] - layer[None]), dtype=float)

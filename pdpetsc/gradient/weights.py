@@ -1,4 +1,4 @@
-"""Whose weights a gradient has: those of its scheme, or the nearest ones that conform to the surface."""
+"""Weights of a gradient: those of its scheme, or the nearest weights that conform to the surface."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from pdpetsc.gradient.conforming import SolveSystem, conforming
 
 
 class Weights(Declared, ABC):
-    """What becomes of the weights of a scheme."""
+    """Choice of the weights of a gradient."""
 
     @property
     @abstractmethod
     def conform(self) -> bool:
-        """Return whether they need the surface of the body."""
+        """Return True if the weights require the surface of the body."""
 
     @property
     def required(self) -> bool:
-        """Return whether a body that cannot have them is refused."""
+        """Return True if a body without such weights is an error."""
         return self.conform
 
     @abstractmethod
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the gradient of a scheme with these weights (collective)."""
+        """Return the gradient operator of a scheme with these weights (collective)."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Standard(Weights):
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the gradient as it is."""
+        """Return the operator unchanged."""
         return operator
 
 
@@ -62,9 +62,9 @@ class Conforming(Weights):
     """The nearest weights with which a uniform stress is in equilibrium with its tractions, on any cloud.
 
     ``sum_p W_p g_pk = s_k`` for every particle, with ``s_k`` from the facets of the surface, and linear fields exact:
-    see ``conforming``. Uniform tension is then exact with every scheme, bending converges with second order. It takes
-    particles that know their surface: a ``Lattice``, a ``Mesh``, or ``Arrays`` with facets. Where such particles are no
-    lattice a case has them by default.
+    see ``conforming``. Uniform tension is then exact with every scheme, and bending converges with second order. The
+    particles must have a surface: a ``Lattice``, a ``Mesh``, or ``Arrays`` with facets. A case with an irregular cloud
+    of such particles uses these weights by default.
 
     Examples
     --------
@@ -81,14 +81,14 @@ class Conforming(Weights):
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the conforming gradient."""
+        """Return the operator with conforming weights."""
         assert surface is not None
         return conforming(cloud, families, operator, surface, solve)
 
 
 @dataclass(frozen=True)
 class Suited(Conforming):
-    """Conforming weights where there are any, else those of the scheme: what an irregular cloud has by default."""
+    """Conforming weights if they exist, else those of the scheme: the default of an irregular cloud."""
 
     @property
     def required(self) -> bool:
@@ -98,30 +98,30 @@ class Suited(Conforming):
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the conforming gradient, or the one of the scheme with a note that says why."""
+        """Return the operator with conforming weights, or that of the scheme with a note on the reason."""
         try:
             return super().of(operator, cloud, families, surface, solve)
         except NoConformingWeights as error:
             return Unsuited(str(error)).of(operator, cloud, families, surface, solve)
 
 
-# What a gradient is where it should be another one.
+# Note on the weights of an irregular cloud without conforming weights.
 NEED_NOT_CONVERGE = "standard weights on an irregular cloud, where they need not converge"
 
 
 @dataclass(frozen=True)
 class Unsuited(Standard):
-    """The weights of the scheme on an irregular cloud that cannot have conforming ones."""
+    """The weights of the scheme on an irregular cloud without conforming weights."""
 
     why: str
 
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the gradient as it is, with a note."""
+        """Return the operator unchanged, with a note."""
         note = f"{NEED_NOT_CONVERGE}. {self.why}"
         return replace(operator, note="; ".join(filter(None, [operator.note, note])))
 
 
-# The weights by the word that case files use.
+# Weights by their name in case files.
 WEIGHTS: dict[str, Weights] = {"standard": Standard(), "conforming": Conforming()}

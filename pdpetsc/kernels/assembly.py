@@ -16,8 +16,8 @@ from pdpetsc.kernels.rows import blocks_of_row, find_slots, widest_row
 def assemble_kernel(dim: int) -> Callable[..., Any]:
     """Return ``assemble(layout, point_ptr, members, h, g, volume, A, diag, off)``, which adds to rows of K.
 
-    ``K_ab = sum_p W_p h_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p h_pa,m A_p,imkn g_pb,n``; ``h`` is ``g`` but
-    where damage scales forces.
+    ``K_ab = sum_p W_p h_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p h_pa,m A_p,imkn g_pb,n``; ``h`` is ``g``
+    unless damage scales forces.
     """
     size = dim * dim
 
@@ -25,7 +25,7 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
     def assemble(layout, point_ptr, members, h, g, volume, A, diag, off):  # type: ignore[no-untyped-def]
         behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int32)
-        # Columns behind different mirror planes are summed apart, and multiplied with their signs at the end.
+        # Columns behind different mirror planes are summed separately, and multiplied by their signs at the end.
         n_mirrors = signs.shape[0]
         widest = widest_row(layout)
         blocks = np.empty(n_mirrors * widest * size)
@@ -53,7 +53,7 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
                         for n in range(dim):
                             value += left[n * size + v] * g[s, n]
                         blocks[base + v] = value
-            # As ``add_row``, but with dimensions that the compiler knows, and with signs: this is the loop that counts.
+            # As ``add_row``, but with compile-time dimensions and with signs: the performance-critical loop.
             n_diag, n_off = blocks_of_row(layout, row)
             for mirror in range(n_mirrors):
                 base = mirror * widest * size
@@ -77,8 +77,8 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
 def add_blocks_kernel(dim: int) -> Callable[..., Any]:
     """Return ``add_blocks(row_blocks, received, start, slot, width, in_diag, diag, off)``.
 
-    Adds rows that another rank assembled: ``row_blocks`` holds the number of blocks of each received row; each of its
-    blocks goes to position ``slot`` of a row of ``width`` blocks that ``start`` blocks precede.
+    Adds rows from another rank. ``row_blocks`` is the number of blocks of each received row. Each block is added at
+    position ``slot`` of a row of ``width`` blocks, after ``start`` blocks.
     """
     size = dim * dim
 
@@ -107,7 +107,7 @@ def add_blocks_kernel(dim: int) -> Callable[..., Any]:
 def add_diagonal_kernel(dim: int) -> Callable[..., Any]:
     """Return ``add_diagonal(ptr, scalars, values)``: adds ``scalars[i, b]`` to entry ``ii`` of block ``b``.
 
-    Where ``scalars`` has one row it holds for all ``i``.
+    If ``scalars`` has one row, it applies to all ``i``.
     """
 
     @compiled

@@ -1,4 +1,4 @@
-"""Loops of the background grid: pieces of cells, what bonds link, interpolation, and stiffness of its elements."""
+"""Loops of the background grid: pieces of cells, connection by bonds, interpolation, and element stiffness."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pdpetsc.kernels.compile import compiled
 
 @compiled
 def root(parent, i):  # type: ignore[no-untyped-def]
-    """Return the representative of ``i``, halving its path."""
+    """Return the representative of ``i``, with path halving."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -22,7 +22,7 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 @compiled
 def join(parent, i, j):  # type: ignore[no-untyped-def]
-    """Let ``i`` and ``j`` have one representative, the lesser of theirs."""
+    """Join ``i`` and ``j``: both have the smaller representative."""
     one = root(parent, i)
     two = root(parent, j)
     if one < two:
@@ -33,7 +33,7 @@ def join(parent, i, j):  # type: ignore[no-untyped-def]
 
 @compiled
 def join_within_cells(indptr, neighbours, kept, cell, parent):  # type: ignore[no-untyped-def]
-    """Join the ends of kept bonds in one cell in ``parent`` (n_local,); all are kept where ``kept`` is empty."""
+    """Join the ends of kept bonds within a cell in ``parent`` (n_local,); if ``kept`` is empty, all bonds are kept."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
             j = neighbours[b]
@@ -45,10 +45,10 @@ def join_within_cells(indptr, neighbours, kept, cell, parent):  # type: ignore[n
 
 @compiled
 def join_corners(indptr, neighbours, kept, order, element, nodes, parent):  # type: ignore[no-untyped-def]
-    """Join in ``parent`` (n_elements * n_corners,) the corners at one node of elements that a kept bond links.
+    """Join in ``parent`` (n_elements * n_corners,) the corners at one node of elements that a kept bond connects.
 
-    ``nodes`` (n_elements, n_corners) are the nodes of the grid at the corners; a particle whose ``element`` is negative
-    links nothing. ``order`` lists the own particles by their element.
+    ``nodes`` (n_elements, n_corners) are the nodes of the grid at the corners; a particle with negative ``element``
+    connects nothing. ``order`` lists the own particles by their element.
     """
     corners = nodes.shape[1]
     seen = np.full(nodes.shape[0], -1, np.int64)
@@ -73,8 +73,8 @@ def interpolate_kernel(dim: int) -> Callable[..., Any]:
     """Return ``interpolate(element, at, corners, wraps, lengths, nodal, strain, u)``.
 
     Writes ``u_i = sum_q N_q(at_i) (nodal_q + strain o_q)`` of the particles, ``N_q`` linear in each coordinate of
-    ``at`` in [0, 1], with the periods ``o_q`` that corner ``q`` is away from its node: ``lengths`` where the element
-    ``wraps`` and the corner is the upper one.
+    ``at`` in [0, 1], with the periods ``o_q`` between corner ``q`` and its node: ``lengths`` if the element ``wraps``
+    and the corner is the upper one.
     """
     n_corners = 2**dim
 

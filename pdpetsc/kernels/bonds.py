@@ -1,4 +1,4 @@
-"""Loops over bonds whose force acts along the bond.
+"""Loops over bonds with forces along the bond.
 
 ``finite`` is 0 or 1, a compile-time constant: with 0 a bond keeps its direction ``n = xi / |xi|`` and its elongation is
 ``e = n . eta``, with 1 ``n`` is the current direction and ``e = |xi + eta| - |xi|``.
@@ -36,7 +36,7 @@ def direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
 
 @lru_cache
 def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the least length, NaN if any is."""
+    """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the smallest length, or NaN."""
 
     @compiled
     def elongation(indptr, neighbours, x, u, e):  # type: ignore[no-untyped-def]
@@ -87,8 +87,9 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
 def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return the kernel that adds the tangent of bonds to rows of K.
 
-    The block of bond ``ij`` is ``k n n + finite t / |xi + eta| (I - n n)``; it goes to ``ii`` and ``jj``, its opposite
-    to ``ij`` and ``ji``. The stencils of the layout are the bonds, with ``ends``, ``i`` and ``j`` of each, for members.
+    The block of bond ``ij`` is ``k n n + finite t / |xi + eta| (I - n n)``; it is added to ``ii`` and ``jj``, its
+    opposite to ``ij`` and ``ji``. The stencils of the layout are the bonds; their members are the ``ends`` ``i`` and
+    ``j``.
     """
 
     @compiled
@@ -136,7 +137,7 @@ def pair_elongation_kernel(dim: int) -> Callable[..., Any]:
 
 @compiled
 def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
-    """Return the least step along ``rate`` at which an ``able`` bond reaches its limit; infinity where none does."""
+    """Return the smallest step along ``rate`` at which an ``able`` bond reaches its limit; infinity if none does."""
     least = np.inf
     for b in range(e.size):
         if able[b] and rate[b] > 0.0:
@@ -148,7 +149,7 @@ def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
 
 @compiled
 def first_of_tied(e, rate, limit, able, step, tolerance, order):  # type: ignore[no-untyped-def]
-    """Return the tied bond of least ``order``, -1 if no bond is tied.
+    """Return the tied bond of smallest ``order``, -1 if no bond is tied.
 
     A bond is tied if it is ``able``, grows, and is within a relative tolerance of its limit after a step.
     """

@@ -1,4 +1,4 @@
-"""How kernels are compiled and cached."""
+"""Compilation and caching of kernels."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from typing import Any, cast
 import numba
 from numba.core import event
 
-# No "nnan"/"ninf": an inadmissible deformation is found by comparing with NaN and infinity.
+# No "nnan"/"ninf": inadmissible deformations are detected by comparison with NaN and infinity.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
-# How long a process waits for another one that compiles, before it compiles for itself [s].
+# Longest time that a process waits for another one that compiles, before it compiles itself [s].
 LONGEST_WAIT = 300.0
 
 _trouble: list[str] = []
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``function`` with numba, caching the machine code on disk where that is possible.
+    """Compile ``function`` with numba, and cache the machine code on disk if possible.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     jit: Any = numba.njit(nogil=True, error_model="numpy", fastmath=FASTMATH)(function)
     try:
         jit.enable_caching()
-    except (RuntimeError, OSError) as error:  # no folder can be written to
+    except (RuntimeError, OSError) as error:  # no writable folder
         note(error)
     else:
-        # The machine code of a kernel has that of the kernels in it that it calls, perhaps of other files: numba looks
-        # at the file of the kernel alone, and would go on with those of before an update.
+        # The machine code of a kernel contains that of the kernels that it calls, possibly from other files. Numba
+        # checks the file of the kernel only, and would use outdated code after an update.
         index = jit._cache._cache_file
         index._source_stamp = index._source_stamp, sources()
         jit._cache = _Forgiving(jit._cache)
@@ -55,13 +55,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @lru_cache
 def sources() -> tuple[tuple[str, int, int], ...]:
-    """Return name, time of change and size of the files of kernels."""
+    """Return name, modification time and size of the files of kernels."""
     found = sorted(Path(__file__).parent.glob("*.py"))
     return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in found)
 
 
 def cache_trouble() -> str:
-    """Return in words why kernels cannot be cached and are compiled in every run; empty where they can."""
+    """Return the reason why kernels cannot be cached and are compiled in every run; empty if they can."""
     return _trouble[0] if _trouble else ""
 
 
@@ -72,25 +72,25 @@ class _First(event.Listener):  # type: ignore[misc]
         self._tell: Callable[[], None] | None = tell
 
     def on_start(self, event: Any) -> None:
-        """Call it, once; numba calls this."""
+        """Call the function once; numba calls this method."""
         if self._tell is not None:
             tell, self._tell = self._tell, None
             tell()
 
     def on_end(self, event: Any) -> None:
-        """Do nothing; numba calls this."""
+        """Do nothing; numba calls this method."""
 
 
 def first_compilation(tell: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """Return a context in which ``tell`` is called before a kernel is compiled that no cache has, the first time."""
+    """Return a context that calls ``tell`` before the first compilation of a kernel that is not cached."""
     return cast(contextlib.AbstractContextManager[None], event.install_listener("numba:compile", _First(tell)))
 
 
 class _Forgiving:
-    """Numba's cache of a function, whose failures do not end a run: the function is compiled instead.
+    """Numba's cache of a function; if the cache fails, the function is compiled and the run continues.
 
-    Files may be cut off by a full disk, made by another version, or in a folder that another user owns; what reading
-    them raises is anything that pickle can.
+    Files may be truncated by a full disk, written by another version, or owned by another user. Reading them can raise
+    any exception of pickle.
     """
 
     def __init__(self, cache: Any) -> None:
@@ -105,7 +105,7 @@ class _Forgiving:
         except Exception as error:
             note(error)
             with contextlib.suppress(Exception):
-                self._cache.flush()  # an empty index, so that this function can be kept again
+                self._cache.flush()  # an empty index, so that this function can be cached again
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -116,7 +116,7 @@ class _Forgiving:
 
 
 def note(error: Exception) -> None:
-    """Remember why kernels cannot be cached."""
+    """Store the reason why kernels cannot be cached."""
     _trouble.append(f"{type(error).__name__}: {error}".splitlines()[0])
 
 
@@ -124,13 +124,13 @@ def note(error: Exception) -> None:
 def cache_lock() -> Iterator[None]:
     """Hold the lock of the kernel cache while kernels are compiled.
 
-    Numba writes its cache index without a lock, so two processes that compile different signatures of one function at
-    the same moment can leave an index that names the wrong file. Where no lock file can be made or locked, or another
-    process has held it for five minutes, the body runs unlocked, which risks a second compilation only.
+    Numba writes its cache index without a lock: two processes that compile different signatures of one function at the
+    same time can leave an index with the wrong file. If no lock file can be created or locked, or another process has
+    held it for five minutes, the body runs without lock. The only risk is a second compilation.
 
     Notes
     -----
-    Not collective. One process of a job holds it; jobs that share the cache exclude each other.
+    Not collective. One process of a job holds the lock; jobs with the same cache exclude each other.
     """
     handle = _lock_file()
     try:
@@ -143,7 +143,7 @@ def cache_lock() -> Iterator[None]:
 
 
 def _lock_file() -> int | None:
-    """Open the lock file beside the cache, else in the temporary folder, never one that somebody else put there."""
+    """Open the lock file beside the cache, else in the temporary folder; never open a file of another user."""
     with contextlib.suppress(OSError):
         folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
         folder.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,7 @@ def _own_file(folder: Path) -> int:
 
 
 def _lock(handle: int) -> None:
-    """Wait for the lock, but not for ever: its holder may be stopped, or the file system may not lock at all."""
+    """Wait for the lock for a limited time: its holder may be stopped, or the file system may not support locks."""
     end = time.monotonic() + LONGEST_WAIT
     while time.monotonic() < end:
         try:

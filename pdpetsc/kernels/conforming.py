@@ -1,4 +1,4 @@
-"""What a point leaves of numbers on its members once the best linear function is taken out."""
+"""Residuals of linear fits to values on the members of points."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def linear_moments_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def remainder_kernel(dim: int, columns: int, gathered: int) -> Callable[..., Any]:
-    """Return ``rest(point_ptr, members, x, size, inverse, factor, values, out)``: what no linear function explains.
+    """Return ``rest(point_ptr, members, x, size, inverse, factor, values, out)``: residuals of the linear fit.
 
     ``e_pk = factor_p (v_k - phi_k . M_p^-1 sum_l phi_l v_l)`` for ``columns`` numbers per particle, added to the entry
-    ``pk`` of ``out``, or to its particle ``k`` where ``gathered`` is 1.
+    ``pk`` of ``out``, or to its particle ``k`` if ``gathered`` is 1.
     """
     width = dim + 1
 

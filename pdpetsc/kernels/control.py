@@ -18,8 +18,8 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
 
     Adds ``s_ij z_ij`` to ``j``, and its opposite to ``i``, with ``z_ij = eta_ij - H_i xi_ij``,
     ``H_i = (sum_j w_ij eta_ij (x) xi_ij) K_i^-1``; writes ``psi_i = 1/2 sum_j s_ij |z_ij|^2`` of these families to
-    ``energy`` (n_particles,). Where ``w`` is ``s`` these are the forces of ``psi``, because
-    ``sum_j s_ij z_ij (x) xi_ij = 0`` then.
+    ``energy`` (n_particles,). If ``w`` is ``s``, these are the forces of ``psi``, because then
+    ``sum_j s_ij z_ij (x) xi_ij = 0``.
     """
 
     @compiled
@@ -72,7 +72,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
     """Return the kernel that fills the scalar matrix of the control, one number per block, for one component.
 
     ``M_jk = s_j delta_jk - s_j w_k xi_j . K^-1 xi_k`` for neighbours of ``i``; rows and columns of ``i`` follow from
-    the sum of each row and column being zero. ``point_ptr`` and ``members`` are the families with the centre first.
+    zero sums of all rows and columns. ``point_ptr`` and ``members`` are the families with the centre first.
     """
 
     @compiled
@@ -177,8 +177,8 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
     """Return the kernel that fills the block matrix of the control, ``dim x dim`` values per block.
 
     For neighbours ``j, k`` of ``i``: ``M_jk = S_j delta_jk - S_j (xi_j . g_k) - S_k (g_j . xi_k) + g_j . T . g_k`` with
-    ``T = sum_j S_j (x) xi_j (x) xi_j``; rows and columns of ``i`` follow from the sum of each being zero.
-    ``point_ptr`` and ``members`` are the families with the centre first; ``S`` and ``g`` are without it.
+    ``T = sum_j S_j (x) xi_j (x) xi_j``; rows and columns of ``i`` follow from zero sums of all rows and columns.
+    ``point_ptr`` and ``members`` are the families with the centre first; ``S`` and ``g`` do not contain the centre.
     """
 
     @compiled

@@ -13,8 +13,8 @@ SWEEPS = 30
 def symmetric_eigen(S, values, vectors):  # type: ignore[no-untyped-def]
     """Diagonalise the symmetric ``S`` (overwritten) by cyclic Jacobi rotations: ``S = sum_a values_a N_a (x) N_a``.
 
-    Columns of ``vectors`` are the ``N_a``. Jacobi keeps full relative accuracy for nearly equal eigenvalues, which the
-    undeformed state always has.
+    Columns of ``vectors`` are the ``N_a``. Jacobi rotations have full relative accuracy for nearly equal eigenvalues,
+    as in the undeformed state.
     """
     dim = S.shape[0]
     for i in range(dim):

@@ -1,4 +1,4 @@
-"""Stress and moduli of materials that are not free of stress where they are undeformed."""
+"""Stress and moduli of materials with a stress-free deformation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def pull_back_kernel(inside: int, shown: int) -> Callable[..., Any]:
     """Return ``pull_back(elastic, inverse, J, points, A)``: ``A_imkn = J (A_e)_iakb (F^-1)_ma (F^-1)_nb``.
 
     ``elastic`` (n, inside, inside, inside, inside), ``inverse`` (n, inside, inside) and ``J`` (n,) are those of the
-    points of a material, whose moduli in the body (shown, ...) go to the rows ``points`` of ``A``.
+    points of a material; the moduli of the body (shown, ...) are written to the rows ``points`` of ``A``.
     """
 
     @compiled

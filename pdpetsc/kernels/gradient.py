@@ -1,4 +1,4 @@
-"""The gradient operator applied to displacements, its transpose, and the deformation it yields."""
+"""Loops of the gradient operator, its weights, its transpose and its determinants."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def shape_kernel(dim: int) -> Callable[..., Any]:
 
 
 def inverses(K: Float) -> Float:
-    """Return the inverses of symmetric positive definite matrices (n, dim, dim), each by its factors L D L^T.
+    """Invert symmetric positive definite matrices (n, dim, dim) by their factors L D L^T.
 
-    NumPy calls LAPACK once for each of them, which takes two hundred times as long for 3 x 3 matrices.
+    NumPy calls LAPACK once per matrix, which is two hundred times slower for 3 x 3 matrices.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def inverses(K: Float) -> Float:
 
 @compiled
 def _invert(K, found):  # type: ignore[no-untyped-def]
-    """Write ``L^-T D^-1 L^-1`` of ``K_p = L D L^T`` to ``found``; return whether all are positive definite."""
+    """Write ``L^-T D^-1 L^-1`` of ``K_p = L D L^T`` to ``found``; return True if all are positive definite."""
     dim = K.shape[1]
     L, D = np.empty((dim, dim)), np.empty(dim)
     for p in range(K.shape[0]):
@@ -87,7 +87,7 @@ def _invert(K, found):  # type: ignore[no-untyped-def]
 def weights_kernel(dim: int) -> Callable[..., Any]:
     """Return ``weights(owner, point_ptr, members, weight, x, K_inverse, g)``: ``g_pk = weight_pk K_p^-1 xi_pk``.
 
-    The first entry of each point is its centre and gets ``-sum_k g_pk``, so that a translation has no gradient.
+    The first entry of each point is its centre with ``-sum_k g_pk``, so that a translation has no gradient.
     """
 
     @compiled
@@ -137,8 +137,8 @@ def gradient_kernel(dim: int) -> Callable[..., Any]:
 def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """Return ``divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u)``: ``f_k += sum_p W_p P_p g_pk``.
 
-    Where ``controlled``, a compile-time constant, also the forces of a control on the same gradient H, as in
-    ``gradient_times_kernel``; the last four are not read otherwise.
+    If ``controlled``, a compile-time constant, also add the forces of a control on the same gradient H, as in
+    ``gradient_times_kernel``. Otherwise the last four arguments are not read.
     """
 
     @compiled
@@ -213,7 +213,7 @@ def bonds_of_entries(owner, point_ptr, members, indptr, neighbours, n_local, bon
 
 @lru_cache
 def bond_family_sizes_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``sizes(indptr, neighbours, x, radius, size)``: how many members of ``i`` lie that near to ``j``."""
+    """Return ``sizes(indptr, neighbours, x, radius, size)``: number of members of ``i`` within ``radius`` of ``j``."""
 
     @compiled
     def sizes(indptr, neighbours, x, radius, size):  # type: ignore[no-untyped-def]
@@ -234,7 +234,7 @@ def bond_family_sizes_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def bond_families_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``list(indptr, neighbours, x, radius, point_ptr, bonds)``: the bonds to those members, in family order."""
+    """Return ``list(indptr, neighbours, x, radius, point_ptr, bonds)``: bonds to these members, in family order."""
 
     @compiled
     def members(indptr, neighbours, x, radius, point_ptr, bonds):  # type: ignore[no-untyped-def]
@@ -255,11 +255,11 @@ def bond_families_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``moments(indptr, neighbours, x, volume, weight, radius, rest, M)``: the gradient of averages by members.
+    """Return ``moments(indptr, neighbours, x, volume, weight, radius, rest, M)``: gradients of averages, by members.
 
     ``M_ik = sum_j weight_ij (S_jk - S_ik) xi_ij`` over the neighbours ``j`` of ``i`` nearer than ``rest``, where
-    ``S_jk`` is the share of member ``k`` in the mean over the members of ``i``, itself among them, nearer to ``j`` than
-    ``radius``; both are of each centre. Bonds without weight count neither here nor there.
+    ``S_jk`` is the share of member ``k`` in the mean over the members of ``i``, including ``i``, within ``radius`` of
+    ``j``. ``radius`` and ``rest`` are those of each centre. Bonds without weight are ignored in both sums.
     """
 
     @compiled
@@ -271,7 +271,7 @@ def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
                 for m in range(dim):
                     M[t, m] = 0.0
             for b in range(first - 1, last):
-                # first - 1 stands for the centre, whose average is subtracted once for every neighbour.
+                # first - 1 is the centre, whose average is subtracted once for every neighbour.
                 j = i if b < first else neighbours[b]
                 for m in range(dim):
                     xi[m] = 0.0

@@ -16,15 +16,15 @@ import numpy as np
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.principal import right_axes
 
-# Values whose relative distance is smaller have their second divided difference from a series of so many terms.
+# Relative distance of values below which the second divided difference is a series, and its number of terms.
 CLOSE, TERMS = 0.02, 10
 
 
 class LagrangianLoops(NamedTuple):
     """Compiled loops over points ``select``.
 
-    ``strain(F, select, E, c, N)`` writes E (n, 3, 3), zero where F does not show it, and the principal values (n, dim)
-    and directions (n, dim, dim) of C. ``stress(F, select, T, c, N, P)`` and ``tangent(F, select, T, moduli, c, N, A)``
+    ``strain(F, select, E, c, N)`` writes E (n, 3, 3), zero in hidden directions, and the principal values (n, dim) and
+    directions (n, dim, dim) of C. ``stress(F, select, T, c, N, P)`` and ``tangent(F, select, T, moduli, c, N, A)``
     write at ``select``, from ``T = dpsi/dE`` (n, dim, dim) and ``moduli = dT/dE`` (n, dim, dim, dim, dim).
     """
 

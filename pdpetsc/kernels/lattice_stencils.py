@@ -1,7 +1,7 @@
-"""Loops over particles whose families repeat: rows of consecutive cells of a lattice share one list of weights.
+"""Loops over lattice particles with equal families: rows of consecutive cells share one list of weights.
 
-Arrays on the lattice have one row per component and one column per cell, so that a row of cells is read and written in
-order; cells are numbered along the lattice, and a member of a family is a constant number of cells away.
+Arrays on the lattice have one row per component and one column per cell, so that memory access along a row of cells is
+contiguous. Cells are numbered along the lattice, and a member of a family has a constant offset in cells.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pdpetsc.kernels.compile import compiled
 
 @compiled
 def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: ignore[no-untyped-def]
-    """Write for every own particle a number that tells which members its family has, and whether all are good."""
+    """Write a key of the members of the family of every own particle, and a mask of families with good members only."""
     for i in range(key.size):
         c = cell[i]
         usual[i] = good[i]
@@ -32,7 +32,7 @@ def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: igno
 
 @compiled
 def order_keys(cell, at, steps, keys_of_steps, order, key):  # type: ignore[no-untyped-def]
-    """Change the number of every own particle by one that tells in which ``order`` the members of its family are."""
+    """Combine the key of every own particle with the ``order`` of the members of its family."""
     sorted_steps = np.empty(steps.size, np.int64)
     for i in range(key.size):
         filled = 0
@@ -53,7 +53,7 @@ def order_keys(cell, at, steps, keys_of_steps, order, key):  # type: ignore[no-u
 
 @compiled
 def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-untyped-def]
-    """Return the families of some particles in CSR form, each sorted by ``order``."""
+    """Return the families of selected particles in CSR form, each sorted by ``order``."""
     indptr = np.zeros(particles.size + 1, np.int64)
     for q in range(particles.size):
         count = 0
@@ -79,7 +79,7 @@ def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-unt
 
 @compiled
 def cells_with_any(cells, at, steps, marked, found):  # type: ignore[no-untyped-def]
-    """Write which cells have a marked particle at one of the steps."""
+    """Write a mask of cells with a marked particle at one of the steps."""
     for q in range(cells.size):
         found[q] = False
         for t in range(steps.size):
@@ -110,9 +110,9 @@ def add_from_cells(cell, on_cells, values):  # type: ignore[no-untyped-def]
 def row_gradient(s, n, first, last, plus, minus, gx, gy, gz, v, dim, buffer):  # type: ignore[no-untyped-def]
     """Write ``sum_e (v_+ - v_-) g_e`` of one component, for the n cells from s on, to the ``dim`` rows of ``buffer``.
 
-    The entries are those from ``first`` to ``last``; entry e reads the cells ``plus[e]`` and ``minus[e]`` away. With
-    fewer dimensions the last weights are not read. It is a function of the module: numba's cache does not find loops
-    again that close over other ones.
+    The entries are those from ``first`` to ``last``; entry e reads the cells at the offsets ``plus[e]`` and
+    ``minus[e]``. With fewer dimensions the last weights are not read. It is a function of the module because numba
+    cannot cache closures over other loops.
     """
     a, b, c = buffer[0], buffer[1], buffer[2]
     for i in range(n):
@@ -187,10 +187,10 @@ def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
 def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., Any]:
     """Return the kernel that adds ``sum_p (W_p P_p - c H_p K) g_pk + c w_pk eta_pk`` to the cells of members k.
 
-    The stress P is given at points (n_points, dim dim), zero where there are none, or is ``A_p H_p`` with moduli
-    (n_sets, dim dim, dim dim) where ``moduli``; ``of`` (n_points,) tells which, each point has its own where it is
-    empty. Terms with c, K and w are added only where ``controlled``. Both are compile-time constants. For every row of
-    cells, one point after the other: gradient, stress, and its forces on the members, while they are in cache. u and f
+    The stress P is an argument (n_points, dim dim), zero if empty. If ``moduli``, it is ``A_p H_p`` with moduli
+    (n_sets, dim dim, dim dim); ``of`` (n_points,) is the index of the moduli, and if it is empty, each point has its
+    own. Terms with c, K and w are added if ``controlled``. Both flags are compile-time constants. For every row of
+    cells and every point the loop computes gradient, stress and forces on the members while they are in cache. u and f
     are (dim, n_cells).
     """
 
@@ -318,11 +318,11 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]:
-    """Return the kernel that adds the forces of bonds, or where ``tangent`` their change with ``du``, to cells.
+    """Return the kernel that adds the forces of bonds to cells, or if ``tangent`` their change with ``du``.
 
-    ``t n`` with ``t = k e`` on the member of a bond and its opposite on the centre; their change is
-    ``k (n . d_eta) n + t / |xi + eta| (I - n n) d_eta``, without the second part where not ``finite``. Bonds of a
-    pattern are entries with their reference ``xi``, length and stiffness; u, du and f are (dim, n_cells).
+    ``t n`` with ``t = k e`` on the member of a bond and its opposite on the centre; their change is ``k (n . d_eta) n +
+    t / |xi + eta| (I - n n) d_eta``, without the second part unless ``finite``. Bonds of a pattern are entries with
+    their reference ``xi``, length and stiffness; u, du and f are (dim, n_cells).
     """
 
     @compiled
@@ -419,7 +419,7 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
 
 @compiled
 def stretched(e, cell, steps, xi, u, finite, y):  # type: ignore[no-untyped-def]
-    """Write ``y = xi + eta`` of entry e of a cell, ``xi`` alone where not ``finite``; return ``|y|^2``."""
+    """Write ``y = xi + eta`` of entry e of a cell, or ``xi`` unless ``finite``; return ``|y|^2``."""
     square = 0.0
     for m in range(y.size):
         y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
@@ -429,7 +429,7 @@ def stretched(e, cell, steps, xi, u, finite, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def bond_block(e, cell, steps, xi, reference, k, u, finite, y, block):  # type: ignore[no-untyped-def]
-    """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only where ``finite``."""
+    """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only if ``finite``."""
     square = stretched(e, cell, steps, xi, u, finite, y)
     turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
     for m in range(y.size):
@@ -473,7 +473,7 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
 @lru_cache
 def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``least(starts, lengths, pattern, entry_ptr, steps, xi, u)``: the least current length of their bonds."""
+    """Return ``least(starts, lengths, pattern, entry_ptr, steps, xi, u)``: smallest current length of their bonds."""
 
     @compiled
     def least(starts, lengths, pattern, entry_ptr, steps, xi, u):  # type: ignore[no-untyped-def]
@@ -496,7 +496,7 @@ def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
                     if dim > 2:
                         y2 = x2 + u2[o + i] - u2[s + i]
                         square += y2 * y2
-                    # Not a number counts as the least: what is compared with it later is not less.
+                    # NaN counts as the smallest: later comparisons with it are false.
                     found[i] = square if square < found[i] or np.isnan(square) else found[i]
         shortest = np.inf
         for i in range(found.size):
@@ -533,8 +533,8 @@ def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
 def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
     """Return the kernel that adds ``W_p g_pk . A_p . g_pk`` to the cells of members k: blocks on the diagonal.
 
-    ``blocks`` is (dim dim, n_cells) with ``(g . A . g)_ik = sum_mn g_m A_imkn g_n``; of the products of g with itself
-    half are computed.
+    ``blocks`` is (dim dim, n_cells) with ``(g . A . g)_ik = sum_mn g_m A_imkn g_n``; the symmetric products of g with
+    itself are computed once.
     """
     size = dim * dim
     pairs = [(m, n) for m in range(dim) for n in range(m, dim)]
@@ -561,7 +561,7 @@ def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
                                 if first[r] != second[r]:
                                     value += A[p, a * dim + second[r], b * dim + first[r]]
                                 WA[r, a * dim + b, i] = volume[k] * value
-                # The centre comes last, as an entry of its own.
+                # The centre is the last entry.
                 for e in range(entry_ptr[k], entry_ptr[k + 1] + 1):
                     last = e == entry_ptr[k + 1]
                     for r in range(n_pairs):
@@ -591,9 +591,9 @@ def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def rows_control_blocks_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that adds ``c (w - g . K g)`` times the identity to members, and that of all bonds to centres.
+    """Return the kernel that adds ``c (w - g . K g)`` times the identity to members, and the sum to centres.
 
-    ``diagonal`` is (1, n_cells); a centre gets ``c (sum_j w_j - g . K g)`` with its own weight g.
+    ``diagonal`` is (1, n_cells); ``c (sum_j w_j - g . K g)`` is added to a centre, with its own weight g.
     """
 
     @compiled

@@ -1,7 +1,7 @@
-"""Radial return of J2 plasticity with linear hardening, exact in one step, with what surrounds it in one loop.
+"""Radial return of J2 plasticity with linear hardening in closed form, with its kinematics in one loop.
 
-It is what ``material.j2`` does for any hardening law, for the commonest one in a third of the time. A history has G
-first, then the elastic strain out of plane, and alpha last.
+It is ``material.j2`` for the most common hardening law, three times faster. A history contains G first, then the
+out-of-plane elastic strain, and alpha last.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from pdpetsc.kernels.principal_rows import BLOCK, new_frame, open_frame, unload,
 
 
 class Returned(NamedTuple):
-    """What a block of points returns to, a row for each component.
+    """Result of the return for a block of points, one row per component.
 
     Attributes
     ----------
     tau, direction : (3, BLOCK) float64
         Principal Kirchhoff stresses [stress] and the unit direction of flow [-].
     theta, theta_bar, growth : (BLOCK,) float64
-        Factors of the moduli [-], and what alpha grows by [-].
+        Factors of the moduli [-], and growth of alpha [-].
     """
 
     tau: Any
@@ -39,7 +39,7 @@ def _new_returned():  # type: ignore[no-untyped-def]
 
 @compiled
 def _return(F, points, history, constants, frame, back):  # type: ignore[no-untyped-def]
-    """Open the frames of points and return to the yield surface; the strains of the frame become elastic."""
+    """Compute the frames of points and return to the yield surface; the strains of the frame become elastic."""
     lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
     dim, n = F.shape[1], points.size
     open_frame(F, points, history, frame)
@@ -47,7 +47,7 @@ def _return(F, points, history, constants, frame, back):  # type: ignore[no-unty
     if dim == 2:
         for r in range(n):
             three[r] = history[r, 4]
-    # A bar has one strain, which flows as a whole: its modulus against flow is that of its own.
+    # A bar has one strain, with its own modulus for plastic flow.
     stiff, share, scale = (2.0 * mu, 0.0, 1.0) if dim == 1 else (3.0 * mu, 1.0 / 3.0, np.sqrt(1.5))
     last = history.shape[1] - 1
     for r in range(n):
@@ -71,7 +71,7 @@ def _return(F, points, history, constants, frame, back):  # type: ignore[no-unty
 
 @compiled
 def linear_out_of_plane(F, constants, history, P):  # type: ignore[no-untyped-def]
-    """Write the stress across the plane of every point of a body in plane strain."""
+    """Write the out-of-plane stress of every point of a body in plane strain."""
     select, frame, back = np.arange(len(F)), new_frame(2), _new_returned()
     for first in range(0, len(F), BLOCK):
         points = select[first : first + BLOCK]
@@ -136,5 +136,5 @@ def _commit(F, select, constants, history):  # type: ignore[no-untyped-def]
             block[r, last] += back.growth[r]
 
 
-# Stress, tangent, energy and commit, as ``HistoryKernels`` has them, of any dimension.
+# Stress, tangent, energy and commit, as in ``HistoryKernels``, for any dimension.
 LINEAR_RETURN = _stress, _tangent, _energy, _commit

@@ -11,16 +11,16 @@ from pdpetsc.kernels.principal_rows import BLOCK, new_frame, open_frame, unload,
 
 
 class Trial(NamedTuple):
-    """Trial strains of points, with what stress and tangent are made of.
+    """Trial strains of points, with data for stress and tangent.
 
     Attributes
     ----------
     strain : (n, 3) float64
-        Logarithmic strains of ``F G`` [-], 0 where F does not show them.
+        Logarithmic strains of ``F G`` [-], 0 in hidden directions.
     stretch : (n, dim) float64
-        Its stretches [-].
+        Stretches [-].
     n, M : (n, dim, dim) float64
-        Principal directions, columns: in the current state, and ``G N`` of those in the unloaded state.
+        Principal directions in columns: in the current state, and ``G N`` for those in the unloaded state.
     """
 
     strain: Any
@@ -32,7 +32,7 @@ class Trial(NamedTuple):
 def trial(F: Any, select: Any, history: Any) -> Trial:
     """Return the trial strains at points of F (all points, dim, dim).
 
-    Rows of ``history`` begin with ``G = F_p^-1``; without columns G is 1.
+    Rows of ``history`` begin with ``G = F_p^-1``; without columns G is the identity.
     """
     n, dim = len(select), F.shape[-1]
     found = Trial(np.zeros((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim)))
@@ -58,7 +58,7 @@ def _trial(F, select, history, found):  # type: ignore[no-untyped-def]
 
 @compiled
 def _frame(trial, first, last, frame):  # type: ignore[no-untyped-def]
-    """Take over some points of ``trial``."""
+    """Copy the points ``first`` to ``last`` of ``trial``."""
     dim = frame.n.shape[0]
     for a in range(dim):
         for r in range(last - first):
@@ -92,7 +92,7 @@ def _rows(values, first, n, rows):  # type: ignore[no-untyped-def]
 def tangent(select, tau, moduli, shear, trial, A):  # type: ignore[no-untyped-def]
     """Write A at points of A (all points, dim, dim, dim, dim).
 
-    ``moduli`` (n, k, k) holds ``d tau_a / d eps_b``, ``shear`` (n, dim, dim) ``(tau_a - tau_b) / (eps_a - eps_b)``.
+    ``moduli`` (n, k, k) is ``d tau_a / d eps_b``, ``shear`` (n, dim, dim) ``(tau_a - tau_b) / (eps_a - eps_b)``.
     """
     dim, frame = A.shape[1], new_frame(A.shape[1])
     slopes, factors = np.empty_like(frame.M), np.empty_like(frame.M)
@@ -110,7 +110,7 @@ def tangent(select, tau, moduli, shear, trial, A):  # type: ignore[no-untyped-de
 
 @compiled
 def commit(history, elastic, trial):  # type: ignore[no-untyped-def]
-    """Make G, at the beginning of rows of ``history``, that of elastic strains (n, 3)."""
+    """Update G, at the beginning of rows of ``history``, for elastic strains (n, 3)."""
     frame = new_frame(trial.n.shape[1])
     for first in range(0, len(history), BLOCK):
         block = history[first : first + BLOCK]

@@ -15,7 +15,7 @@ from pdpetsc.kernels.compile import compiled
 def reach_kernel(dim: int, most: int) -> Callable[..., Any]:
     """Return ``reach(indptr, neighbours, kept, x, reach)``: the length of the ``most``-th shortest kept bond of each.
 
-    Of a family with fewer it is the longest one's, 0 without any.
+    For a family with fewer bonds it is the longest length, 0 without bonds.
     """
 
     @compiled
@@ -46,7 +46,7 @@ def reach_kernel(dim: int, most: int) -> Callable[..., Any]:
 
 @lru_cache
 def near_bonds_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``near(indptr, neighbours, kept, x, reach, near)``: marks bonds within reach of an end."""
+    """Return ``near(indptr, neighbours, kept, x, reach, near)``: marks bonds no longer than ``reach`` of an end."""
 
     @compiled
     def near(indptr, neighbours, kept, x, reach, near):  # type: ignore[no-untyped-def]

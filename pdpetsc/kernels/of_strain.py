@@ -13,7 +13,7 @@ class StrainLoops(NamedTuple):
 
     ``stress(stress, N, S)`` writes ``S = sum_a s_a N_a (x) N_a`` for principal stresses (n, k), k at least dim.
     ``tangent(moduli, shear, N, C)`` writes ``dS/dE`` (n, dim, dim, dim, dim) for ``ds_a / d eps_b`` (n, k, k) and
-    ``shear = (s_a - s_b) / (eps_a - eps_b)`` (n, dim, dim), zero where a = b.
+    ``shear = (s_a - s_b) / (eps_a - eps_b)`` (n, dim, dim), zero for a = b.
     """
 
     stress: Any
@@ -24,7 +24,8 @@ class StrainLoops(NamedTuple):
 def strain_loops(dim: int) -> StrainLoops:
     """Return the loops for dimension ``dim``."""
 
-    # Sums are kept in a number: for an x86 without AVX the compiler gets sums in place of S and C wrong.
+    # Sums are accumulated in scalars: for x86 without AVX the compiler generates wrong code for in-place sums of S and
+    # C.
     @compiled
     def stress(stress, N, S):  # type: ignore[no-untyped-def]
         for p in range(len(N)):

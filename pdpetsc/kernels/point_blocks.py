@@ -16,8 +16,8 @@ from pdpetsc.kernels.compile import compiled
 def gradient_blocks_kernel(dim: int, same: int) -> Callable[..., Any]:
     """Return ``blocks(point_ptr, members, h, g, volume, A, out)``: adds ``W_p h_k . A_p . g_k`` to each member ``k``.
 
-    ``out`` is (n_local, dim * dim) with ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``. Where ``same``, a constant when
-    compiled, ``h`` is ``g``, of whose products with itself half are computed.
+    ``out`` is (n_local, dim * dim) with ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``. If ``same``, a compile-time
+    constant, ``h`` is ``g``, and the symmetric products are computed once.
     """
     size = dim * dim
     pairs = [(m, n) for m in range(dim) for n in range(m if same else 0, dim)]
@@ -54,8 +54,8 @@ def gradient_blocks_kernel(dim: int, same: int) -> Callable[..., Any]:
 def bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``blocks(indptr, neighbours, x, u, stiffness, tension, a, B, out)`` for the forces of bonds.
 
-    Both ends of a bond get ``s n n + t / |xi + eta| (I - n n)``, the last term only where ``finite``; a dilatation adds
-    ``B_i (a n) (a n)`` to each member of the family of ``i``, with ``- sum_j a n`` for ``i`` itself.
+    The block of both ends of a bond is ``s n n + t / |xi + eta| (I - n n)``, the last term only if ``finite``. A
+    dilatation adds ``B_i (a n) (a n)`` to each member of the family of ``i``, with ``- sum_j a n`` for ``i`` itself.
     """
 
     @compiled
@@ -174,9 +174,9 @@ def directed_blocks_kernel(dim: int) -> Callable[..., Any]:
 
 @compiled
 def definite(blocks, least):  # type: ignore[no-untyped-def]
-    """Raise diagonals until the leading minors of every symmetric part are positive, by Gershgorin's rows.
+    """Increase diagonals until the leading minors of every symmetric part are positive, by Gershgorin rows.
 
-    ``least`` is what an eigenvalue is raised to at least; return how many blocks were changed.
+    ``least`` is the smallest eigenvalue after the increase; return the number of changed blocks.
     """
     changed = 0
     dim = blocks.shape[1]

@@ -1,6 +1,6 @@
-"""Principal axes and inverse of a deformation gradient, and the tangent of an isotropic law from its principal values.
+"""Principal axes and inverse of a deformation gradient, and tangent of an isotropic law from principal values.
 
-All of them are functions of the module for one point: numba cannot cache a closure over another one.
+All functions are functions of the module, for one point, because numba cannot cache closures over other functions.
 """
 
 from __future__ import annotations

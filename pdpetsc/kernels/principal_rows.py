@@ -1,8 +1,7 @@
-"""Principal frames of many points side by side, and stress and tangent of an isotropic law from principal values.
+"""Principal frames of blocks of points, and stress and tangent of an isotropic law from principal values.
 
-Points are taken in blocks, and every component of a tensor is a row over the points of its block. The innermost loops
-run over such rows, so that the compiler works on several points at once. C = F^T F is kept as C - 1, which leaves small
-strains all of their digits.
+Points are processed in blocks, and every component of a tensor is a row over the points of its block. The innermost
+loops run over these rows and are vectorised. C = F^T F is stored as C - 1, which preserves all digits of small strains.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 
-# Points of a block: enough for the loops over them to be long, few enough for their rows to stay in the first cache.
+# Points of a block: enough for long loops, few enough for their rows to fit the L1 cache.
 BLOCK = 128
-# Largest number of sweeps of Jacobi's method, which takes about five.
+# Largest number of sweeps of Jacobi's method; about five are typical.
 SWEEPS = 30
-# Below this distance from 1 the logarithm is a series of so many terms.
+# Distance from 1 below which the logarithm is a series, and its number of terms.
 NEAR, TERMS = 0.25, 11
 
 
@@ -28,17 +27,17 @@ class Frame(NamedTuple):
     Attributes
     ----------
     H : (dim, dim, BLOCK) float64
-        The deformation gradient of the elastic part, less 1 [-].
+        Elastic part of the deformation gradient, minus 1 [-].
     C : (dim, dim, BLOCK) float64
         Work space.
     strain : (3, BLOCK) float64
-        Logarithmic strains [-], 0 where F does not show them.
+        Logarithmic strains [-], 0 in hidden directions.
     stretch : (dim, BLOCK) float64
         Stretches [-].
     N, n : (dim, dim, BLOCK) float64
-        Principal directions, columns, of the unloaded and of the current state.
+        Principal directions in columns, in the unloaded and in the current state.
     M : (dim, dim, BLOCK) float64
-        ``G N``: N brought to the reference configuration.
+        ``G N``: N in the reference configuration.
     """
 
     H: Any
@@ -67,9 +66,9 @@ def new_frame(dim):  # type: ignore[no-untyped-def]
 
 @compiled
 def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
-    """Find the principal frames of ``F G`` at points.
+    """Compute the principal frames of ``F G`` at points.
 
-    Rows of ``history`` (n, n_history) begin with ``G = F_p^-1``, row by row; without columns G is 1.
+    Rows of ``history`` (n, n_history) begin with ``G = F_p^-1``, row by row; without columns G is the identity.
     """
     dim, n = F.shape[1], points.size
     H, C, strain, stretch, N, now, M = frame
@@ -132,7 +131,7 @@ def _add_product(x, y, out, n):  # type: ignore[no-untyped-def]
 
 
 def symmetric_axes(S: Float) -> tuple[Float, Float]:
-    """Return principal values (n, dim), in no order, and directions, columns of (n, dim, dim), of symmetric tensors."""
+    """Compute unsorted principal values (n, dim) and directions, columns of (n, dim, dim), of symmetric tensors."""
     values, N = np.empty(S.shape[:2]), np.empty_like(S)
     _symmetric_axes(S, values, N)
     return values, N
@@ -159,7 +158,7 @@ def _symmetric_axes(S, values, N):  # type: ignore[no-untyped-def]
 
 @compiled
 def _diagonalise(S, N, n):  # type: ignore[no-untyped-def]
-    """Turn the upper half of S (dim, dim, BLOCK) into its principal values, with their directions, by rotations."""
+    """Diagonalise the upper half of S (dim, dim, BLOCK) by rotations; write the principal directions."""
     dim = S.shape[0]
     cosine, sine = np.empty(BLOCK), np.empty(BLOCK)
     for i in range(dim):
@@ -186,7 +185,7 @@ def _diagonalise(S, N, n):  # type: ignore[no-untyped-def]
 
 @compiled
 def _angle(p, q, o, cosine, sine, n):  # type: ignore[no-untyped-def]
-    """Write the rotation that makes ``o`` zero beside the diagonal entries p and q, and rotate these three."""
+    """Write the rotation that makes ``o`` zero for the diagonal entries p and q, and rotate these three."""
     for r in range(n):
         apart, twice = q[r] - p[r], 2.0 * o[r]
         t = twice / (abs(apart) + np.sqrt(apart * apart + twice * twice) + 1e-300)
@@ -278,7 +277,7 @@ def write_stress(tau, points, frame, P):  # type: ignore[no-untyped-def]
 
 @compiled
 def unload(elastic, frame, history):  # type: ignore[no-untyped-def]
-    """Overwrite G with ``F^-1 V_e = G (F G)^-1 V_e``, where V_e has the elastic strains (3, BLOCK) after the return."""
+    """Overwrite G with ``F^-1 V_e = G (F G)^-1 V_e``, with the elastic strains (3, BLOCK) of V_e after the return."""
     dim, n, out, factor = frame.N.shape[0], len(history), frame.C, np.empty_like(frame.stretch)
     for a in range(dim):
         f, e, length = factor[a], elastic[a], frame.stretch[a]
@@ -319,15 +318,15 @@ def _shear(tau, shear, stretch, a, b, same, swapped, n):  # type: ignore[no-unty
 def write_tangent(tau, moduli, shear, points, frame, A):  # type: ignore[no-untyped-def]
     """Write ``A = dP/dF`` of ``P = sum_a tau_a / l_a n_a (x) M_a`` at points of A (all points, dim, dim, dim, dim).
 
-    ``moduli`` (dim, dim, BLOCK) holds ``d tau_a / d eps_b`` and is changed, ``shear`` the factors in ``tau_a - tau_b =
-    shear_ab (eps_a - eps_b)``, with logarithmic strains eps of the stretches l. With ``p_a = tau_a / l_a`` and axes n
-    and M the only entries are::
+    ``moduli`` (dim, dim, BLOCK) is ``d tau_a / d eps_b`` and is overwritten, ``shear`` are the factors in
+    ``tau_a - tau_b = shear_ab (eps_a - eps_b)``, with logarithmic strains eps of the stretches l. With
+    ``p_a = tau_a / l_a`` and axes n and M the only entries are::
 
         A_aabb = moduli_ab / (l_a l_b) - delta_ab tau_a / l_a^2
         A_abab = (m + q) / 2,  A_abba = (m - q) / 2,   m = (p_a - p_b) / (l_a - l_b),  q = (p_a + p_b) / (l_a + l_b)
 
-    where m is written so that it keeps its accuracy for nearly equal stretches. The entries of two indices i and k are
-    ``M Q^T M^T`` with ``Q_ba = A_aabb n_ia n_kb + A_baab n_ib n_ka`` and, on its diagonal, ``sum_a A_abab n_ia n_ka``.
+    with m in a form that is accurate for nearly equal stretches. The entries of two indices i and k are ``M Q^T M^T``
+    with ``Q_ba = A_aabb n_ia n_kb + A_baab n_ib n_ka`` and, on its diagonal, ``sum_a A_abab n_ia n_ka``.
     """
     dim, n = A.shape[1], points.size
     now, M, stretch = frame.n, frame.M, frame.stretch

@@ -1,7 +1,7 @@
-"""Loops over ``sum_s b_s h_s (x) g_s``: stencils whose members have one vector each for forces and for displacements.
+"""Loops over ``sum_s b_s h_s (x) g_s``: stencils with one force vector and one displacement vector per member.
 
-The vectors ``h`` and ``g`` (n_entries, dim) are those of the entries of each stencil, ``ptr[s]`` to ``ptr[s + 1]``.
-Those of ``g`` sum to zero in a stencil: a translation changes nothing.
+The vectors ``h`` and ``g`` (n_entries, dim) are those of the entries of each stencil, ``ptr[s]`` to ``ptr[s + 1]``. The
+vectors ``g`` of a stencil sum to zero: a translation has no effect.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
     """Return ``times(particles, first, ptr, members, h, g, b, u, f)``: adds ``b_s h_k (sum_l g_l . u_l)`` to ``k``.
 
-    The stencils of own particle ``i`` are ``first[i]`` to ``first[i + 1]``; those of the given particles count.
+    The stencils of own particle ``i`` are ``first[i]`` to ``first[i + 1]``; only those of ``particles`` are added.
     """
 
     @compiled
@@ -30,7 +30,7 @@ def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
             for s in range(first[i], first[i + 1]):
                 if b[s] == 0.0:
                     continue
-                # Relative to the first member, so that what moves all of them does not round.
+                # Relative to the first member: a translation causes no round-off.
                 c = members[ptr[s]]
                 rate = 0.0
                 for t in range(ptr[s] + 1, ptr[s + 1]):

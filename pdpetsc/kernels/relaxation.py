@@ -1,10 +1,10 @@
-"""A time step of dynamic relaxation, each quantity of a particle read and written once."""
+"""A time step of dynamic relaxation that reads and writes each quantity of a particle once."""
 
 from __future__ import annotations
 
 from pdpetsc.kernels.compile import compiled
 
-# How many numbers ``compare`` sums.
+# Number of sums of ``compare``.
 SUMS = 6
 
 
@@ -32,11 +32,11 @@ def advance(residual, mass, dt, damping, first, u, velocity, moved):  # type: ig
 
 @compiled
 def compare(unbalanced, external, free, mass, velocity, dt, start, moved, residual, sums):  # type: ignore[no-untyped-def]
-    """Overwrite the residual of before the step with the one after it, ``unbalanced`` where free, and add up sums.
+    """Overwrite the residual with that after the step, ``unbalanced`` for free unknowns, and compute sums.
 
     The first of ``sums`` are ``k d^2`` and ``m d^2`` of the distance d from the start, the squares of external forces
     and of reactions, ``r^2`` and ``(r / m)^2``, where ``k = -(r_new - r_old) / (dt v)`` is the stiffness of an unknown
-    that two successive residuals show, 0 where it did not move.
+    from two successive residuals, 0 if it did not move.
     """
     sums[:SUMS] = 0.0
     for i in range(unbalanced.shape[0]):

@@ -1,8 +1,8 @@
-"""Rows of a block matrix that loops over stencils add to: which blocks there are, and where their values stand.
+"""Rows of a block matrix for loops over stencils: its blocks and the positions of their values.
 
 The value arrays have the layout of a scalar CSR matrix: row ``i`` of block row ``a`` holds, for each of its ``n``
 blocks in turn, ``dim`` consecutive values, so block ``q`` starts at ``dim * dim * ptr[a] + i * dim * n + dim * q``. The
-blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``.
+blocks of a row are first in ``diag`` (columns of this rank), then in ``off``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 class RowLayout(NamedTuple):
-    """Block rows of consecutive local particles, and the stencils that add to them.
+    """Block rows of consecutive local particles, and their stencils.
 
     Attributes
     ----------
@@ -23,14 +23,14 @@ class RowLayout(NamedTuple):
     diag_ptr, off_ptr : (n_rows + 1,) int64
         Blocks of each row in own and in other columns.
     columns : (n_blocks,) int64
-        Column of every block, own ones of a row first.
+        Column of every block, own columns of a row first.
     local_ptr, locals_of : (n_columns + 1,) int64, (n_local,) int32
-        Local particles of a column ``c``, none where only other ranks add to it:
+        Local particles of a column ``c``, none if only other ranks add to it:
         ``locals_of[local_ptr[c] : local_ptr[c + 1]]``.
     behind, signs : (n_local,) int32, (n_mirrors, components) float64
-        Rows and columns of a particle behind mirror planes are multiplied with ``signs[behind[a]]``.
+        Rows and columns of a particle behind mirror planes are multiplied by ``signs[behind[a]]``.
     entry_ptr, entries, entry_point : (n_local + 1,) int64, (n_entries,) int64, (n_entries,) int32
-        Entries of the stencils that name each local particle, and the stencil of each of them.
+        Entries of the stencils that contain each local particle, and the stencil of each entry.
     """
 
     first: int
@@ -48,7 +48,7 @@ class RowLayout(NamedTuple):
 
 @compiled
 def blocks_of_row(layout, row):  # type: ignore[no-untyped-def]
-    """Return how many blocks a row has in own and in other columns."""
+    """Return the number of blocks of a row in own and in other columns."""
     n_diag = layout.diag_ptr[row + 1] - layout.diag_ptr[row]
     return n_diag, layout.off_ptr[row + 1] - layout.off_ptr[row]
 
@@ -65,10 +65,10 @@ def widest_row(layout):  # type: ignore[no-untyped-def]
 
 @compiled
 def find_slots(layout, row, slot, mirrors=0):  # type: ignore[no-untyped-def]
-    """Write to ``slot`` (n_local,) the number of the block in a row of each local particle that has one there.
+    """Write to ``slot`` (n_local,) the number of the block of each local particle with a block in the row.
 
-    Particles behind mirror planes have numbers that are ``behind`` times ``mirrors`` higher. Return how many blocks the
-    row has.
+    Particles behind mirror planes have numbers that are ``behind`` times ``mirrors`` higher. Return the number of
+    blocks of the row.
     """
     begin = layout.diag_ptr[row] + layout.off_ptr[row]
     n_diag, n_off = blocks_of_row(layout, row)

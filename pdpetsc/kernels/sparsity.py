@@ -1,4 +1,4 @@
-"""Index loops: families from pairs, transposed stencils and where the tangent has blocks."""
+"""Index loops: families from pairs, transposed stencils, and sparsity of the tangent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pdpetsc.kernels.compile import compiled
 def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-untyped-def]
     """Turn neighbour pairs into CSR families of the owned particles, each sorted by ``order``.
 
-    Both are in the family of the other, or the second in that of the first alone where they are ``directed``.
+    Each particle of a pair is in the family of the other; if ``directed``, only the second in the family of the first.
     """
     sides = 1 if directed else 2
     indptr = np.zeros(n_owned + 1, np.int64)
@@ -32,7 +32,7 @@ def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-unt
                 neighbours[fill[i]] = pairs[r, 1 - side]
                 fill[i] += 1
     for i in range(n_owned):
-        # By insertion at falling distances: families of a small cell can have 100,000 members.
+        # Shell sort with decreasing gaps: families of a small cell can have 100,000 members.
         gap = 1
         while 9 * gap < indptr[i + 1] - indptr[i]:
             gap = 3 * gap + 1
@@ -50,7 +50,7 @@ def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-unt
 
 @compiled
 def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
-    """List, for every local particle, the entries of the operator that name it and the points of those entries."""
+    """List, for every local particle, the entries of the operator that contain it and the points of these entries."""
     entry_ptr = np.zeros(n_local + 1, np.int64)
     for t in range(members.size):
         entry_ptr[members[t] + 1] += 1
@@ -70,7 +70,7 @@ def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
 
 @compiled
 def product_sparsity(entry_ptr, entry_point, point_ptr, members, rank_of):  # type: ignore[no-untyped-def]
-    """Return in CSR form where ``G^T D G`` on local particles has blocks, each row sorted by ``rank_of``."""
+    """Return the sparsity of ``G^T D G`` on local particles in CSR form, each row sorted by ``rank_of``."""
     n_local = entry_ptr.size - 1
     seen = np.full(n_local, -1, np.int64)
     row_ptr = np.zeros(n_local + 1, np.int64)
@@ -158,7 +158,7 @@ def sum_by(index: Any, values: Any, n: int) -> Any:
 
 @compiled
 def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-untyped-def]
-    """Write which families hold a marked particle."""
+    """Write a mask of families with a marked particle."""
     for i in range(indptr.size - 1):
         found[i] = False
         for b in range(indptr[i], indptr[i + 1]):
@@ -168,7 +168,7 @@ def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-unt
 
 @compiled
 def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyped-def]
-    """Lower ``nearest`` (n_owned,) to the distance of the nearest member of each family."""
+    """Reduce ``nearest`` (n_owned,) to the distance of the nearest member of each family."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
             square = 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.kernels.bonds import direction
 from pdpetsc.kernels.compile import compiled
 
-# Stiffness and shape tensors for ``gradient_times_kernel`` where no control shares its pass.
+# Empty stiffness and shape tensors for ``gradient_times_kernel`` without control.
 NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
 
 
@@ -19,11 +19,11 @@ NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
 def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """Return ``times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f)``.
 
-    Adds ``H^T (W A) G u`` in one pass over the points of the given particles: gradient, stress and its forces while the
-    stencil is in cache. Where ``controlled``, a compile-time constant, also the forces of a control with the energy
+    Adds ``H^T (W A) G u`` in one pass over the points of ``particles``: gradient, stress and its forces while the
+    stencil is in cache. If ``controlled``, a compile-time constant, also the forces of a control with the energy
     ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2`` for the same gradient ``H_i`` and ``s_ij xi_ij = K_i g_ij``: the force on
-    ``j`` is ``(W A H - H K) g_ij + s_ij eta_ij``. There is one point per particle then, over its whole family;
-    ``stiffness`` and ``K`` are not read otherwise.
+    ``j`` is ``(W A H - H K) g_ij + s_ij eta_ij``. There is then one point per particle, over its whole family.
+    Otherwise ``stiffness`` and ``K`` are not read.
     """
 
     @compiled
@@ -96,9 +96,9 @@ def same_gradient_kernel(dim: int) -> Callable[..., Any]:
 def bond_times_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f)``.
 
-    Adds to ``j`` of every bond of the given particles, and its opposite to ``i``, with ``n`` at ``u``,
-    ``(s n . d_eta + a_ij B_i sum_k a_ik n_ik . d_eta_ik) n + t / |xi + eta| (I - n n) d_eta``; the last term only where
-    ``finite``. ``a`` and ``B`` are empty where there is no dilatation.
+    Adds to ``j`` of every bond of ``particles``, and its opposite to ``i``, with ``n`` at ``u``, ``(s n . d_eta + a_ij
+    B_i sum_k a_ik n_ik . d_eta_ik) n + t / |xi + eta| (I - n n) d_eta``; the last term only if ``finite``. ``a`` and
+    ``B`` are empty without dilatation.
     """
 
     @compiled
@@ -140,7 +140,7 @@ def bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D)``, in uniform deformation of each family.
 
     ``D_i = sum_j (s n n + t / |xi + eta| (I - n n)) xi xi + B_i (sum_j a n xi) (sum_j a n xi)``, the derivative of
-    ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of the family; the tension only where ``finite``.
+    ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of the family; the tension only if ``finite``.
     """
 
     @compiled

@@ -1,4 +1,4 @@
-"""Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
+"""Materials, one per file: energy, first Piola-Kirchhoff stress and tangent at a point."""
 
 from pdpetsc.material import hardening, rate, split
 from pdpetsc.material.anisotropic import AnisotropicElastic, Orthotropic

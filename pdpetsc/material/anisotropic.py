@@ -19,15 +19,15 @@ from pdpetsc.material.linear_elastic import linear_loops
 from pdpetsc.material.symmetric import moduli_of_body, stiffness, stiffness_of_body
 
 # An angle about the third axis [rad], a matrix whose columns are the axes of the material, or a function of positions
-# (n, dim) that gives n of either.
+# (n, dim) that returns n angles or matrices.
 Orientation: TypeAlias = float | Sequence[Sequence[float]] | Callable[[Float], Float]
-# How far axes may be from orthogonal unit vectors, and a stiffness from symmetric or semidefinite over its size.
+# Tolerance of orthogonal unit axes, and of a symmetric and positive semidefinite stiffness, relative to its size.
 NEARLY = 1e-6
 SINGULAR = 1e-12
 
 
 class AnisotropicLinear(Material):
-    """A law ``P = C : eps, eps = sym(F - I)`` whose stiffness has directions."""
+    """A law ``P = C : eps, eps = sym(F - I)`` with anisotropic stiffness."""
 
     linear: ClassVar[bool] = True
     orientation: Orientation | None
@@ -56,14 +56,14 @@ class AnisotropicLinear(Material):
             )
         if self.orientation is not None and not callable(self.orientation):
             turned = self._rotations(real_numbers(self.orientation), 1, self.orientation)
-            # Not an array, with which two materials could not be compared.
+            # Not an array, so that materials can be compared.
             angle = np.ndim(self.orientation) == 0
             object.__setattr__(
                 self, "orientation", self.orientation if angle else tuple(map(tuple, turned[0].tolist()))
             )
 
     def _rotations(self, values: Float | None, n: int, given: object) -> Float:
-        """Return axes in columns (n, 3, 3) from ``n`` angles or matrices, or one."""
+        """Return axes in columns (n, 3, 3) from one or ``n`` angles or matrices."""
         name = type(self).__name__
         if values is not None and not np.isfinite(values).all():
             raise CaseError(f"The orientation of {name} must be finite numbers.")
@@ -88,7 +88,7 @@ class AnisotropicLinear(Material):
         return stiffness(0.5 * (C + C.T))
 
     def _solids(self, dim: int, x: Float) -> Float:
-        """Return the stiffness of the solid at positions (n, dim), in the axes of the body (n, 3, 3, 3, 3)."""
+        """Compute the stiffness of the solid at positions (n, dim), in the axes of the body (n, 3, 3, 3, 3)."""
         C, n = self._solid(), len(x)
         if self.orientation is None or n == 0:
             return np.broadcast_to(C, (n, 3, 3, 3, 3))
@@ -102,7 +102,7 @@ class AnisotropicLinear(Material):
         else:
             values = np.asarray(self.orientation, dtype=float)
         R = self._rotations(values, n, self.orientation)
-        # A fixed orientation gives one stiffness.
+        # A constant orientation has one stiffness.
         few = R if callable(self.orientation) else R[:1]
         turned = np.einsum("pia,pjb,pkc,pld,abcd->pijkl", few, few, few, few, C, optimize=True)
         return np.broadcast_to(turned, (n, 3, 3, 3, 3))
@@ -112,23 +112,23 @@ class AnisotropicLinear(Material):
         return linear_loops(dim)
 
     def constants(self, dim: int) -> Float:
-        """Return the stiffness that the body shows, for points that have none of their own."""
+        """Return the stiffness in the dimensions of the body, for points without own stiffness."""
         return self._reduced(dim, np.zeros((1, dim)))[0] if not callable(self.orientation) else np.empty(0)
 
     def history_at(self, dim: int, x: Float) -> Float:
-        """Return the stiffness that the body shows and the answer across it, per point where they differ."""
+        """Return stiffness in the dimensions of the body and out-of-plane coefficients, per point if they differ."""
         if not callable(self.orientation):
             return np.empty((len(x), 0))
         return self._reduced(dim, x)
 
     def history_in_space(self, x: Float) -> Float:
-        """Return the stiffness of the solid, whose orientation is a function of places in the plane."""
+        """Return the stiffness of the solid for an orientation that is a function of positions in the plane."""
         if not callable(self.orientation):
             return np.empty((len(x), 0))
         return stiffness_of_body(self._solids(2, x), 3, self.plane)
 
     def _reduced(self, dim: int, x: Float) -> Float:
-        """Return ``C`` (dim^4) and what gives stress or strain across the body (dim^2), one row per position."""
+        """Return ``C`` (dim^4) and the coefficients of out-of-plane stress or strain (dim^2), one row per position."""
         return stiffness_of_body(self._solids(dim, x), dim, self.plane)
 
     def _across(self, F: Float, history: Float) -> Float:
@@ -137,7 +137,7 @@ class AnisotropicLinear(Material):
         return np.asarray(np.einsum("pij,pij->p", rows[:, dim**4 :].reshape(-1, dim, dim) + 0.0 * F, F - np.eye(dim)))
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return one plus the strains that the body does not show, to first order (n,) [-]."""
+        """Return 1 plus the strains outside the dimensions of the body, to first order (n,) [-]."""
         if F.shape[-1] == 3 or (F.shape[-1] == 2 and self.plane == "strain"):
             return np.ones(len(F))
         return 1.0 + self._across(F, history)
@@ -147,7 +147,7 @@ class AnisotropicLinear(Material):
         return self._across(F, history)
 
     def uniform(self) -> Material:
-        """Return it with the axes of the material turned by no angle everywhere, where they are a function of place."""
+        """Return the material with a constant orientation, angle 0, if it is a function of position."""
         declared: Any = self
         replaced: Material = (
             dataclasses.replace(declared, orientation=_not_turned) if callable(self.orientation) else self
@@ -155,7 +155,7 @@ class AnisotropicLinear(Material):
         return replaced
 
     def moduli(self, dim: int) -> Float:
-        """Return the stiffness; its isotropic mean where the orientation is a function of place."""
+        """Return the stiffness; its isotropic mean if the orientation is a function of position."""
         if callable(self.orientation):
             return self._mean(dim)
         return moduli_of_body(self._solids(dim, np.zeros((1, dim)))[0], dim, self.plane)
@@ -165,7 +165,7 @@ class AnisotropicLinear(Material):
         return moduli_of_body(mean, dim, self.plane)
 
     def bulk_like_modulus(self, dim: int) -> float:
-        """Return that of the isotropic mean [stress]: the same however the orientation is given."""
+        """Return the value of the isotropic mean [stress], which does not depend on the orientation."""
         return float(np.einsum("iikk", self._mean(dim))) / dim**2
 
     def young_modulus(self) -> float:
@@ -189,20 +189,20 @@ class Orthotropic(AnisotropicLinear):
     E : (E1, E2, E3)
         Young's moduli along the axes of the material [stress].
     nu : (nu12, nu23, nu13)
-        Poisson's ratios [-]: the strain along the second index is ``-nu`` times that along the first, which is pulled.
+        Poisson's ratios [-]: in tension along the first index, the strain along the second is ``-nu`` times that along
+        the first.
     G : (G12, G23, G13)
         Shear moduli [stress].
     orientation : float, matrix or callable, optional
-        Where the axes of the material point: an angle about the third axis [rad], a matrix (3, 3) with them as
-        columns, or a function of positions (n, dim) that returns angles (n,) or matrices (n, 3, 3). Those of the body
-        by default.
+        Axes of the material: an angle about the third axis [rad], a matrix (3, 3) with the axes in columns, or a
+        function of positions (n, dim) that returns angles (n,) or matrices (n, 3, 3). The axes of the body by default.
     plane : {"strain", "stress"}
         Plane strain or plane stress of a two-dimensional body.
 
     Raises
     ------
     CaseError
-        The stiffness is not positive definite, or the orientation not one.
+        The stiffness is not positive definite, or the orientation is invalid.
 
     Examples
     --------
@@ -251,7 +251,7 @@ class AnisotropicElastic(AnisotropicLinear):
     Raises
     ------
     CaseError
-        The stiffness is not symmetric and positive definite, or the orientation not one.
+        The stiffness is not symmetric and positive definite, or the orientation is invalid.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Materials at the gradient points that they apply to."""
+"""Materials at their gradient points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdpetsc.material.base import HistoryKernels, Material
 from pdpetsc.material.stress_free import StressFreeStrain, StressFreeStretch, Unexpanded
 from pdpetsc.material.thermal import Thermal
 
-# Points that are compared first, most of the time to find a difference.
+# Number of points that are compared first; most differences occur there.
 SOME = 100
 
 
@@ -41,23 +41,23 @@ class Law:
 
     @staticmethod
     def of(material: Material, dim: int, rows: slice | GlobalIndex = slice(None)) -> Law:
-        """Return the law of a body of a dimension at some points."""
+        """Return the law for a dimension at points ``rows``."""
         return Law(rows, material, material.history_kernels(dim), material.constants(dim))
 
     def of_step(self, dt: float) -> Law:
-        """Return the law for a step of the time ``dt`` [time], itself if it does not depend on time."""
+        """Return the law for a step of duration ``dt`` [time], unchanged if it does not depend on time."""
         if not self.material.timed:
             return self
         return replace(self, constants=np.append(self.constants[:-1], dt))
 
     @property
     def time(self) -> tuple[float, ...]:
-        """Return the time of the step for a law that depends on it, nothing for others."""
+        """Return the duration of the step for laws that depend on it, nothing for others."""
         return (float(self.constants[-1]),) if self.material.timed else ()
 
 
 class MaterialAtPoints:
-    """A material, the gradient points that obey it, and its history there.
+    """A material, its gradient points, and its history there.
 
     Parameters
     ----------
@@ -72,15 +72,14 @@ class MaterialAtPoints:
     x : (n_points, dim) float64, optional
         Positions of the particles of these points [length], the origin by default.
     expands : bool
-        Whether the body has a stress-free deformation. In plane strain the law is then that of a solid.
+        True if the body has a stress-free deformation. In plane strain the law is then that of a solid.
     thermal : Thermal, optional
         The dependence of the law on temperature.
 
     Attributes
     ----------
     history : (n_points, n_history) float64
-        History variables, overwritten in place, or numbers of the place that the law reads; no columns for a law of F
-        alone.
+        History variables, overwritten in place, or position-dependent data of the law; no columns for a law of F only.
     """
 
     def __init__(
@@ -95,7 +94,7 @@ class MaterialAtPoints:
         self.put_at(points, factor, x)
 
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
-        """Put the material at other points, undeformed ones."""
+        """Assign the material to other, undeformed points."""
         self.points = points
         self.factor = factor
         self.history = self.undeformed(np.zeros((len(points), self.dim)) if x is None else x)
@@ -106,14 +105,14 @@ class MaterialAtPoints:
         return self.material.history_in_space(x) if in_space else self.material.history_at(self.dim, x)
 
     def at(self, dt: float = 0.0, conditions: Conditions | None = None) -> MaterialLaw:
-        """Return stress, tangent and energy as functions of F.
+        """Return the law: stress, tangent and energy as functions of F.
 
         Parameters
         ----------
         dt : float
             Physical time since the last converged step [time].
         conditions : Conditions, optional
-            Those of the points; no strain without stress by default.
+            Conditions of the points; no eigenstrain by default.
         """
         return MaterialLaw(self, dt, self.conditions() if conditions is None else conditions)
 
@@ -125,7 +124,7 @@ class MaterialAtPoints:
         Parameters
         ----------
         strain : (n, 3, 3) float64, optional
-            Strains without stress [-].
+            Eigenstrains [-].
         factor : (n,) float64, optional
             Factor of the moduli at the temperature of the points [-].
         temperature : (n,) float64, optional
@@ -146,7 +145,7 @@ class MaterialAtPoints:
         Raises
         ------
         CaseError
-            A law keeps another history than the others, or has a tangent of another symmetry.
+            Laws differ in their history or in the symmetry of their tangent.
         """
         if temperature is None or self._by_temperature is None or not len(temperature):
             return (self.law,)
@@ -169,7 +168,7 @@ class MaterialAtPoints:
 
     @property
     def varies(self) -> bool:
-        """Return True if its law depends on temperature otherwise than by a factor of the moduli."""
+        """Return True if the law depends on temperature by more than a factor of the moduli."""
         return self._by_temperature is not None
 
     def plastic_strain(self) -> Float:
@@ -184,7 +183,7 @@ class MaterialAtPoints:
     def largest_modulus(self, factor: Float | None = None) -> float:
         """Return the largest entry of its small-strain stiffness [stress], 0 if it has no points here.
 
-        ``factor`` (n,) multiplies its moduli besides [-].
+        ``factor`` (n,) is an additional factor of the moduli [-].
         """
         if len(self.points) == 0:
             return 0.0
@@ -209,9 +208,9 @@ class Conditions:
 
 
 class MaterialLaw:
-    """Stress, tangent and energy at the points of a material: functions of F and of the history, without side effects.
+    """Stress, tangent and energy at the points of a material, as functions of F and history without side effects.
 
-    ``commit`` alone changes something, the history of the material.
+    Only ``commit`` changes the history of the material.
 
     Parameters
     ----------
@@ -236,9 +235,9 @@ class MaterialLaw:
         return self.free
 
     def stress(self, F: Float, P: Float, only: Mask | None = None) -> None:
-        """Write P (all points, dim, dim) at its points, or those in ``only`` (all points,), for F of all points.
+        """Write P (all points, dim, dim) at its points, or at those in ``only`` (all points,), for F of all points.
 
-        Laws of a body that expands write it at all of their points.
+        Laws of a body with eigenstrain write it at all of their points.
         """
         self.free.stress(self._evaluate("stress", *self.free.elastic(F), self.free.room(P), only=only), P)
 
@@ -251,7 +250,7 @@ class MaterialLaw:
         self.free.energy(self._evaluate("energy", *self.free.elastic(F), self.free.room(psi), only=only), psi)
 
     def commit(self, F: Float) -> None:
-        """Make the state at F (all points, dim, dim) the one that the next step starts from."""
+        """Commit the state at F (all points, dim, dim) as the start of the next step."""
         self._advance(F, self.of.history)
 
     def plastic_strain(self) -> Float:
@@ -265,7 +264,7 @@ class MaterialLaw:
         return self.material.plastic_strain(after)
 
     def plastic_growth(self, F: Float) -> Float:
-        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
+        """Return the growth of plastic strain at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
         if not self.has_history or not len(self.points):
             return np.zeros(len(self.points))
         return np.asarray(self.plastic_strain_after(F) - self.plastic_strain())
@@ -285,7 +284,7 @@ class MaterialLaw:
         return part[:, :d, :d], P[:, :d, :d], A[:, :d, :d, :d, :d], rest
 
     def same_tangent(self, F: Float) -> Float | None:
-        """Return A (dim, dim, dim, dim) if it is the same at all its points for F (all points, dim, dim), else None."""
+        """Return A (dim, dim, dim, dim) if it is equal at all its points for F (all points, dim, dim), else None."""
         of, linear = self.of, self.material.linear
         if self.has_history or self.free.multiplier is not None or len(self._laws) > 1 or not len(self.points):
             return None
@@ -294,7 +293,7 @@ class MaterialLaw:
             self.free.expands or not np.all(F[self.points[:SOME]] == one) or not np.all(F[self.points] == one)
         ):
             return None
-        if not np.all(of.history == of.history[:1]):  # numbers of the place, as the direction of fibres
+        if not np.all(of.history == of.history[:1]):  # data of the position, such as fibre directions
             return None
         A, law = np.empty((1, *(of.inside,) * 4)), self._laws[0]
         law.kernels.tangent(one, np.zeros(1, dtype=np.int64), law.constants, of.history[:1], A)
@@ -311,7 +310,7 @@ class MaterialLaw:
         return P if self.free.multiplier is None else P * self.free.multiplier
 
     def hidden_stretch(self, F: Float) -> Float:
-        """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
+        """Return the product of the hidden stretches for F (n, dim, dim) at its points (n,) [-]."""
         if self.free.expands and (self.dim == 3 or self.of.inside == 3):
             return np.ones(len(F))
         part, across = self.free.elastic_part(F), np.empty(len(F))
@@ -320,14 +319,14 @@ class MaterialLaw:
         return self.free.hidden(across)
 
     def strained(self, F: Float) -> tuple[Float, Float]:
-        """Return the elastic part of F (n, dim, dim) at its points of a body that expands, and the part without stress.
+        """Return elastic and stress-free part of F (n, dim, dim) at its points.
 
-        The latter, (n or 1, dim, dim), is 1 for linear laws.
+        The stress-free part, (n or 1, dim, dim), is 1 for linear laws.
         """
         return self.free.elastic_part(F)[:, : self.dim, : self.dim], self._expansion.stretch
 
     def defined(self, F: Float, lost: Mask | None = None) -> bool:
-        """Return whether it has a stress at F (all points, dim, dim), but for points that are lost (all points,)."""
+        """Return True if it has a stress at F (all points, dim, dim), ignoring lost points (all points,)."""
         part, select = self.free.elastic(F)
         kept = np.ones(len(self.points), dtype=bool) if lost is None else ~lost[self.points]
         for law in self._laws:
@@ -341,7 +340,7 @@ class MaterialLaw:
         return bool(np.isfinite(P[self.points[kept]]).all())
 
     def energy_by_strain(self, F: Float) -> Float:
-        """Return the derivative of the energy density by the strain without stress at constant F (n, 3, 3) [stress].
+        """Return the derivative of the energy density by the eigenstrain at constant F (n, 3, 3) [stress].
 
         ``F`` (n, dim, dim) is that of its points.
         """
@@ -365,11 +364,11 @@ class MaterialLaw:
         return np.arange(len(self.points))
 
     def _varies(self, F: Float, temperature: Float | None) -> bool:
-        """Return True if its law depends on temperature otherwise than by a factor, at any points."""
+        """Return True if the law depends on temperature by more than a factor, at any point."""
         return self.of.varies and temperature is not None and len(F) > 0
 
     def _laws_around(self, temperature: Float | None, step: float) -> list[list[Law]]:
-        """Return the laws at temperatures (n,) that are a step higher and lower."""
+        """Return the laws at temperatures (n,) plus and minus a step."""
         assert temperature is not None
         return [[law.of_step(self._dt) for law in self.of.laws_at(temperature + by)] for by in (step, -step)]
 
@@ -394,7 +393,7 @@ class MaterialLaw:
         return self._expansion.energy_density(psi)
 
     def _advance(self, F: Float, history: Float) -> None:
-        """Overwrite a history of the last converged step with that of a step that ends at F (all points, dim, dim)."""
+        """Overwrite the history of the last converged step with that of a step ending at F (all points, dim, dim)."""
         part, select = self.free.elastic(F)
         for law in self._laws:
             rows = history[law.rows]

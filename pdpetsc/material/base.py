@@ -1,4 +1,4 @@
-"""What every material declares and what a body asks of it."""
+"""Interface of materials: declaration, compiled loops and history."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import Bound, Declared
 
-# What a body shows of a solid: all, a plane without strain or without stress across it, or a line.
+# Kinds of bodies: solid, plane strain, plane stress, bar.
 Kind = Literal["solid", "strain", "stress", "bar"]
 
-# Moduli outside of these bounds overflow in products, and factorisations of such matrices crash [stress].
+# Bounds of moduli [stress]: outside these bounds products overflow and matrix factorisations crash.
 LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
 Modulus: TypeAlias = Annotated[
     float, Bound(("a modulus from 1e-100 to 1e+100", "such moduli"), lambda x: LEAST_MODULUS <= x <= LARGEST_MODULUS)
@@ -29,9 +29,9 @@ class PointKernels(NamedTuple):
     """Loops over the points ``select`` (int64 indices into F), compiled or plain numpy.
 
     ``stress(F, select, constants, P)`` and ``tangent(F, select, constants, A)`` write (n, d, d) and (n, d, d, d, d)
-    arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. The rows of the results at
-    ``select`` are theirs, the others belong to other materials. A material defined for ``det F > 0`` only is never
-    called elsewhere: that is checked first.
+    arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. They write the rows of
+    ``select`` only; other rows belong to other materials. The sign of ``det F`` is checked before, so a material
+    defined for ``det F > 0`` is never called outside.
     """
 
     stress: Callable[..., None]
@@ -40,10 +40,10 @@ class PointKernels(NamedTuple):
 
 
 class HistoryKernels(NamedTuple):
-    """As ``PointKernels``, with ``history`` (len(select), n_history) before the result, which they only read.
+    """As ``PointKernels``, with a read-only ``history`` (len(select), n_history) before the result.
 
-    ``commit(F, select, constants, history)`` overwrites the history: it makes the state at F the one that the next step
-    starts from. The stress is the derivative of the energy at a given history, stored and lost energy together.
+    ``commit(F, select, constants, history)`` overwrites the history with the state at F, the start of the next step.
+    The stress is the derivative of the energy, stored plus dissipated, at constant history.
     """
 
     stress: Callable[..., None]
@@ -53,59 +53,59 @@ class HistoryKernels(NamedTuple):
 
 
 class Material(Declared, ABC):
-    """A law that gives the stress at a point from the deformation gradient there.
+    """A material law: stress at a point as a function of the deformation gradient.
 
     Attributes
     ----------
     plane : {"strain", "stress"}
-        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress out of plane.
     """
 
     plane: Literal["strain", "stress"]
 
-    # Whether the stress is linear in F, so that the tangent is constant.
+    # True if the stress is linear in F, so that the tangent is constant.
     linear: ClassVar[bool] = False
     has_history: ClassVar[bool] = False
-    # Of which strain its energy is lambda / 2 (tr eps)^2 + mu eps : eps; None for another energy.
+    # Strain measure of the energy lambda / 2 (tr eps)^2 + mu eps : eps; None for another energy.
     strain_measure: ClassVar[Literal["small", "logarithmic", "green"] | None] = None
-    # Whether its local iteration may find no stress, which is NaN then; a step that leads there is cut back.
+    # True if the local iteration may fail; the stress is then NaN, and the step is cut back.
     may_fail: ClassVar[bool] = False
 
     def kind(self, dim: int) -> Kind:
-        """Return what a body of ``dim`` dimensions shows of the solid."""
+        """Return the kind of a body of ``dim`` dimensions."""
         if dim == 2:
             return self.plane
         return "bar" if dim == 1 else "solid"
 
     @property
     def small_strain(self) -> bool:
-        """Return whether its P is the stress of a small strain, which is also the Cauchy stress."""
+        """Return True if P is the stress of a small strain, equal to the Cauchy stress."""
         return self.linear or self.strain_measure == "small"
 
     @property
     def symmetric(self) -> bool:
-        """Return whether its tangent is symmetric, ``A_imkn = A_knim``."""
+        """Return True if the tangent is symmetric, ``A_imkn = A_knim``."""
         return True
 
     @property
     def timed(self) -> bool:
-        """Return True if it has a ``duration``; the last of its constants is then the time of the step."""
+        """Return True if it has a ``duration``; the last of its constants is then the duration of the step."""
         return self.duration is not None
 
     @property
     def duration(self) -> float | None:
-        """Return the time from step time 0 to 1 [time], which all of a case share; None where rates do not count."""
+        """Return the time from load parameter 0 to 1 [time], equal for a whole case; None without rate dependence."""
         return None
 
     def spread(self, step: float) -> float:
-        """Return the error of the stress at the end of a step over which a jump of the strain is spread [-].
+        """Return the error of the stress if a jump of the strain is applied over a step [-].
 
-        It is a share of the stress of the jump itself; 0 for a material that does not relax.
+        It is relative to the stress of the jump; 0 for a material without relaxation.
 
         Parameters
         ----------
         step : float
-            Length of the step, a share of the whole load [-].
+            Length of the step in the load parameter [-].
         """
         return 0.0
 
@@ -119,7 +119,7 @@ class Material(Declared, ABC):
 
     @abstractmethod
     def moduli(self, dim: int) -> Float:
-        """Return ``dP/dF`` at F = I (dim, dim, dim, dim) [stress], with hidden strains where those are free."""
+        """Return ``dP/dF`` at F = I (dim, dim, dim, dim) [stress], with condensed hidden strains if these are free."""
 
     @abstractmethod
     def young_modulus(self) -> float:
@@ -128,14 +128,14 @@ class Material(Declared, ABC):
         Raises
         ------
         CaseError
-            The material has another one in every direction.
+            The modulus depends on the direction.
         """
 
     @abstractmethod
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-].
+        """Return the product of the hidden stretches: out of plane, or lateral for a bar (n,) [-].
 
-        ``dt`` is the time since the last converged step [time], given to laws that are ``timed``.
+        ``dt`` is the time since the last converged step [time], for laws that are ``timed``.
         """
 
     @abstractmethod
@@ -146,9 +146,9 @@ class Material(Declared, ABC):
         """
 
     def history_at(self, dim: int, x: Float) -> Float:
-        """Return what undeformed points of particles at ``x`` (n, dim) keep (n, n_history): nothing by default.
+        """Return the initial history of points of particles at ``x`` (n, dim), as (n, n_history); empty by default.
 
-        That is the start of its history, or numbers of the place that its loops read, as the direction of fibres.
+        It contains history variables, or position-dependent data of the loops such as fibre directions.
         """
         return np.empty((len(x), 0))
 
@@ -157,7 +157,7 @@ class Material(Declared, ABC):
         return self.history_at(3, np.pad(x, ((0, 0), (0, 1))))
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
-        """Return whether it has a stress at the points ``select`` of F, whose determinants are positive already."""
+        """Return True if it has a stress at the points ``select`` of F, for positive determinants."""
         return True
 
     def plastic_strain(self, history: Float) -> Float:
@@ -165,7 +165,7 @@ class Material(Declared, ABC):
         return np.zeros(len(history))
 
     def uniform(self) -> Material:
-        """Return it without what depends on place, to compile its loops on another body."""
+        """Return the material without dependence on position, to compile its loops on another body."""
         return self
 
     def bulk_like_modulus(self, dim: int) -> float:
@@ -186,9 +186,9 @@ class IsotropicMaterial(Material):
     E : float
         Young's modulus [stress], positive.
     nu : float
-        Poisson's ratio [-], between -1 and 0.5, both excluded. A bar in 1D needs it for its lateral stretch only.
+        Poisson's ratio [-], between -1 and 0.5, both excluded. In 1D it determines the lateral stretch only.
     plane : {"strain", "stress"}
-        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress out of plane.
 
     Raises
     ------
@@ -230,7 +230,7 @@ class IsotropicMaterial(Material):
 
     @abstractmethod
     def thickness_stretch(self, F: Float) -> Float:
-        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+        """Return the product of the hidden stretches: out of plane, or lateral for a bar (n,) [-]."""
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``thickness_stretch``."""
@@ -262,9 +262,9 @@ class ElasticMaterial(IsotropicMaterial):
 
     @abstractmethod
     def volumetric_strain(self, F: Float) -> Float:
-        """Return the trace of the strain measure of the law (n,) [-], whose other directions have no strain.
+        """Return the trace of the strain measure of the law (n,) [-], with zero hidden strain.
 
-        In plane strain ``P_zz`` is lambda times it, because the strain across the plane vanishes.
+        In plane strain ``P_zz`` is lambda times this trace, because the out-of-plane strain is zero.
         """
 
     @abstractmethod
@@ -272,7 +272,7 @@ class ElasticMaterial(IsotropicMaterial):
         """Return the loops for dimension ``dim``."""
 
     def history_kernels(self, dim: int) -> HistoryKernels:
-        """Return the loops of ``kernels`` with a history that they do not read."""
+        """Return the loops of ``kernels`` with an unused history argument."""
         stress, tangent, energy = (_without_history(loop) for loop in self.kernels(dim))
         return HistoryKernels(stress, tangent, energy, remember_nothing)
 
@@ -290,12 +290,12 @@ def remember_nothing(F: Float, select: GlobalIndex, constants: Float, history: F
 
 @dataclass(frozen=True)
 class HistoryMaterial(IsotropicMaterial):
-    """An isotropic material whose stress depends on what converged steps left at a point."""
+    """An isotropic material with history variables."""
 
     has_history: ClassVar[bool] = True
 
     def history_at(self, dim: int, x: Float) -> Float:
-        """Return ``initial_history`` of as many points."""
+        """Return ``initial_history`` for the number of points."""
         return self.initial_history(dim, len(x))
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Laws of what a closed crack keeps of an energy."""
+"""Closed parts of energies: the energy that a closed crack retains."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Principal(NamedTuple):
 
 @dataclass(frozen=True)
 class ClosedPart(ElasticMaterial):
-    """A law whose energy is what a closed crack keeps of that of an isotropic material.
+    """A law with the closed part of the energy of an isotropic material.
 
     Parameters
     ----------
     E, nu, plane
-        As of the material.
+        Constants of the material.
     closed : callable
-        Returns what is kept, a ``Principal``, of principal strains (n, k), lambda and mu.
+        Returns the closed part, a ``Principal``, for principal strains (n, k), lambda and mu.
     """
 
     closed: Callable[[Float, float, float], Principal] = field(kw_only=True)
@@ -52,14 +52,14 @@ class ClosedPart(ElasticMaterial):
         return PointKernels(write(self._stress), write(self._tangent), write(lambda F, kept: kept.psi))
 
     def principal(self, F: Float, dim: int) -> Principal:
-        """Return the energy that is kept in the principal strains of F (n, dim, dim)."""
+        """Return the closed part for the principal strains of F (n, dim, dim)."""
         strain = self._axes(F)[0]
         if dim == 2 and self.plane == "strain":
             strain = np.pad(strain, ((0, 0), (0, 1)))
         return self.closed(strain, *self.lame(dim))
 
     def open_share(self, dim: int) -> float:
-        """Return which share of its energy a body in uniaxial tension loses with a crack [-]."""
+        """Return the open share of the energy in uniaxial tension [-]."""
         k = 3 if self.kind(dim) in ("solid", "strain") else dim
         strain = np.array([[1.0, -self.nu, -self.nu]])[:, :k]
         return 1.0 - float(self.closed(strain, *self.lame(dim)).psi[0]) / (0.5 * self.E)
@@ -73,7 +73,7 @@ class ClosedPart(ElasticMaterial):
         return np.asarray(self._axes(F)[0].sum(axis=1))
 
     def thickness_stretch(self, F: Float) -> Float:
-        """Return 1: the law of what is whole gives the thickness."""
+        """Return 1: the law of the intact material determines the thickness."""
         return np.ones(len(F))
 
     @abstractmethod
@@ -90,7 +90,7 @@ class ClosedPart(ElasticMaterial):
 
 
 class _OfStrain(ClosedPart):
-    """A law of a symmetric strain: its stress and moduli are those of the strain, brought to F by a derived class."""
+    """A law of a symmetric strain; derived classes transform stress and moduli to F."""
 
     def _of_strain(self, F: Float, kept: Principal) -> Float:
         """Return ``S = dpsi/dE`` (n, dim, dim)."""
@@ -108,7 +108,7 @@ class _OfStrain(ClosedPart):
 
 
 class SmallClosed(_OfStrain):
-    """Of the small strain ``sym(F - I)``."""
+    """Closed part for the small strain ``sym(F - I)``."""
 
     strain_measure: ClassVar[Literal["small"]] = "small"
 
@@ -123,7 +123,7 @@ class SmallClosed(_OfStrain):
 
 
 class GreenClosed(_OfStrain):
-    """Of Green's strain ``(F^T F - I) / 2``."""
+    """Closed part for Green's strain ``(F^T F - I) / 2``."""
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
         return symmetric_axes(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
@@ -138,7 +138,7 @@ class GreenClosed(_OfStrain):
 
 
 class LogarithmicClosed(ClosedPart):
-    """Of the logarithmic strain."""
+    """Closed part for the logarithmic strain."""
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
         found = _trial(F)

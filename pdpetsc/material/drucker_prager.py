@@ -18,7 +18,7 @@ from pdpetsc.material.roots import falling_roots
 
 @dataclass(frozen=True)
 class DruckerPrager(LogarithmicMaterial):
-    r"""A cone about the hydrostatic axis in principal Kirchhoff stresses, returned to its side or to its apex.
+    r"""Drucker-Prager plasticity: a cone in principal Kirchhoff stresses, with return to its side or apex.
 
     With deviator s, mean stress p (tension positive) and the cohesion ``c + R(alpha)``::
 
@@ -26,9 +26,10 @@ class DruckerPrager(LogarithmicMaterial):
         flow: d_gamma (s / (2 sqrt(s : s / 2)) + eta_psi / 3 I),  d_alpha = xi d_gamma
 
     ``eta`` and ``xi`` follow from the angle of friction, ``eta_psi`` as eta from that of dilatancy. Strains are
-    logarithmic and the return is that of small strain, as in ``J2``. With another dilatancy than friction the tangent
-    is not symmetric and the stress has no potential: the energy is then elastic energy and the work of flow. Where
-    flow keeps the volume (``dilatancy=0``) no return leads to the apex, and a step into tension beyond it is cut back.
+    logarithmic and the return is that of small strain, as in ``J2``. If dilatancy and friction differ, the tangent is
+    not symmetric and the stress has no potential; the energy is then elastic energy plus plastic work. If plastic flow
+    preserves the volume (``dilatancy=0``), no return leads to the apex, and a step into tension beyond the apex is cut
+    back.
 
     Parameters
     ----------
@@ -39,12 +40,12 @@ class DruckerPrager(LogarithmicMaterial):
     friction : float
         Angle of internal friction in radians [-], from 0 to below pi / 2.
     dilatancy : float, optional
-        Angle of dilatancy, from 0 to that of friction; that of friction where absent (associated flow).
+        Angle of dilatancy, from 0 to that of friction; by default that of friction (associated flow).
     hardening : float or Hardening
         R, one of ``pd.hardening`` or a sum of them; a number is the slope of the cohesion [stress], not negative.
     fit : {"compression", "tension", "plane strain"}
-        For which stresses the cone has the strength of Mohr and Coulomb: triaxial compression, triaxial tension, or
-        associated flow in plane strain.
+        Stress states with the strength of Mohr and Coulomb: triaxial compression, triaxial tension, or plane strain
+        with associated flow.
 
     Raises
     ------
@@ -82,7 +83,7 @@ class DruckerPrager(LogarithmicMaterial):
 
     @property
     def symmetric(self) -> bool:
-        """Return whether flow is associated."""
+        """Return True if flow is associated."""
         return self.dilatancy is None or self.dilatancy == self.friction
 
     @property
@@ -100,17 +101,17 @@ class DruckerPrager(LogarithmicMaterial):
         return 6.0 * sin / size, 6.0 * cos / size
 
     def initial_state(self) -> Float:
-        """Return the work of flow and alpha."""
+        """Return initial plastic work and alpha."""
         return np.zeros(2)
 
     def energy(self, elastic: Float, state: Float) -> Float:
-        """Return elastic energy and the work of flow."""
+        """Return elastic energy plus plastic work."""
         mu, K = self.shear_and_bulk
         mean = elastic.mean(axis=1)
         return np.asarray(4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1) + state[:, 0])
 
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
-        """Return the stress on the cone, or in its apex, where the trial stress is beyond it."""
+        """Return the trial stress, or the stress on the cone or apex if the trial stress is outside the cone."""
         mu, K = self.shear_and_bulk
         eta, eta_psi, xi = self.cone
         alpha = state[:, -1]
@@ -151,20 +152,20 @@ class DruckerPrager(LogarithmicMaterial):
                 after[tip, 0] += self._work(alpha[tip], after[tip, 1], p[tip] * growth)
                 if found is not None:
                     slope = law_of(self.hardening).slope(after[tip, 1])
-                    with np.errstate(invalid="ignore"):  # no return, no modulus
+                    with np.errstate(invalid="ignore"):  # NaN stress, NaN modulus
                         found[tip] = (K * slope / (K * eta * eta_psi / (xi * xi) + slope))[:, None, None]
         scaled = theta[:, None] * deviator
         return Response(p[:, None] + 2.0 * mu * scaled, found, scaled + (p / (3.0 * K))[:, None], after)
 
     def _work(self, before: Float, after: Float, work: Float) -> Float:
-        """Return the work of flow in a step: that of the cohesion where it is associated."""
+        """Return the plastic work in a step; for associated flow that of the cohesion."""
         if not self.symmetric:
             return work
         law = law_of(self.hardening)
         return np.asarray(self.cohesion * (after - before) + law.integral(after) - law.integral(before))
 
     def _on_side(self, shear: Float, p: Float, alpha: Float) -> Float:
-        """Return the flow ``gamma`` that leads to the side of the cone, continued beyond its apex."""
+        """Return the flow ``gamma`` to the side of the cone, continued beyond its apex."""
         mu, K = self.shear_and_bulk
         eta, eta_psi, xi = self.cone
         law, stiff = law_of(self.hardening), mu + K * eta * eta_psi
@@ -178,7 +179,7 @@ class DruckerPrager(LogarithmicMaterial):
         return falling_roots(excess, -first[0] / first[1], (shear + eta * p) / stiff, shear + eta * np.abs(p))
 
     def _in_apex(self, p: Float, alpha: Float) -> Float:
-        """Return the plastic change of volume that leads to the apex; NaN where flow keeps its volume."""
+        """Return the plastic change of volume to the apex; NaN if plastic flow preserves the volume."""
         _, K = self.shear_and_bulk
         eta, eta_psi, xi = self.cone
         if eta_psi == 0.0:

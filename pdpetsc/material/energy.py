@@ -16,9 +16,9 @@ import sympy
 from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError
 
-# Longest text, and bits of the largest number that a power of numbers may give: longer ones could keep a run busy.
+# Largest length of the text, and largest number of bits of a power of numbers, to bound the time of parsing.
 LONGEST_TEXT, MOST_BITS = 4000, 512
-# Most operations of the second derivative of an energy along one of its variables, by the rules for derivatives.
+# Largest number of operations of a second derivative of an energy, by the rules of differentiation.
 MOST_OPERATIONS = 3000
 # Invariants of C = F^T F and of up to two fibre directions: I4, I5 of the first, I6, I7 of the second.
 OF_FIBRES = {"I4": 0, "I5": 0, "I6": 1, "I7": 1}
@@ -26,7 +26,7 @@ INVARIANTS = ("I1", "I2", "J", *OF_FIBRES)
 STRETCHES = ("l1", "l2", "l3")
 SYMBOLS = {name: sympy.Symbol(name, positive=True) for name in (*INVARIANTS, *STRETCHES)}
 _J = SYMBOLS["J"]
-# Names that stand for others; those with ``bar`` are of J^(-1/3) F, which has no change of volume.
+# Abbreviations; names with ``bar`` are those of the isochoric part J^(-1/3) F.
 DERIVED = {
     "I3": _J**2,
     "I1bar": _J ** sympy.Rational(-2, 3) * SYMBOLS["I1"],
@@ -38,7 +38,7 @@ DERIVED = {
 
 
 class Step(sympy.Function):  # type: ignore[misc]
-    """1 where the argument is positive, else 0; its derivative is taken for 0."""
+    """1 if the argument is positive, else 0; its derivative is 0."""
 
     nargs = 1
 
@@ -85,7 +85,7 @@ class Energy:
     names : tuple of str
         Names of its constants, in the order in which loops read them.
     expression : sympy expression
-        Of the symbols of ``SYMBOLS`` and of the constants.
+        In the symbols of ``SYMBOLS`` and the constants.
     """
 
     text: str
@@ -99,15 +99,14 @@ class Energy:
 
     @cached_property
     def of_stretches(self) -> bool:
-        """Return whether it is written with principal stretches."""
+        """Return True if the energy is written in principal stretches."""
         return bool(self.expression.free_symbols & {SYMBOLS[name] for name in STRETCHES})
 
     @cached_property
     def bounds(self) -> list[Any]:
-        """Return what must keep the sign that it has at F = I: arguments of logarithms, and what is divided by.
+        """Return the bounds, expressions that must keep their sign at F = I: arguments of logarithms, and divisors.
 
-        Beyond such a bound the derivatives may well be finite again, but they are those of another body: the energy is
-        no number there, or was infinite on the way.
+        Beyond a bound the derivatives may be finite, but the energy is undefined or was infinite at the bound.
         """
         logarithms = {one.args[0] for one in self.expression.atoms(sympy.log)}
         divisors = {
@@ -120,7 +119,7 @@ class Energy:
 
     @property
     def n_fibres(self) -> int:
-        """Return how many fibre directions it reads."""
+        """Return the number of fibre directions."""
         used = [number for name, number in OF_FIBRES.items() if SYMBOLS[name] in self.expression.free_symbols]
         return 1 + max(used, default=-1)
 
@@ -132,19 +131,19 @@ def constant(name: str) -> Any:
 
 @lru_cache
 def parse(text: str, names: tuple[str, ...]) -> Energy:
-    """Return the energy that a text means, zero at F = I.
+    """Parse the text of an energy; the result is zero at F = I.
 
     Parameters
     ----------
     text : str
-        Of invariants, or of principal stretches, functions of ``FUNCTIONS``, numbers and constants.
+        Expression in invariants or principal stretches, with functions of ``FUNCTIONS``, numbers and constants.
     names : tuple of str
         The constants.
 
     Raises
     ------
     CaseError
-        The text is no such expression, names what is not known, or does not use a constant.
+        The text is no such expression, contains an unknown name, or does not use a constant.
     """
     taken = sorted(KNOWN & set(names))
     if taken:
@@ -157,7 +156,7 @@ def parse(text: str, names: tuple[str, ...]) -> Energy:
     reader = _Reader(text, names)
     try:
         with warnings.catch_warnings():
-            # Python warns of numbers with letters behind them before it refuses them.
+            # Python warns about numbers followed by letters before it raises an error.
             warnings.simplefilter("ignore", SyntaxWarning)
             tree = ast.parse(text.strip(), mode="eval").body
         _refuse_long(tree, reader)
@@ -197,14 +196,14 @@ def _checked(energy: Energy, reader: _Reader) -> Energy:
 
 
 def _refuse_long(tree: ast.expr, reader: _Reader) -> None:
-    """Raise CaseError if the derivatives of an energy have too many operations, before SymPy sees any of it.
+    """Raise CaseError if the derivatives of an energy have too many operations, before SymPy is called.
 
     A product u v has ``u'' v + 2 u' v' + u v''`` and a function of u ``f'' u' u' + f' u''``: the second derivatives of
-    a chain of products, or of functions in each other, grow with its third power.
+    nested products or functions grow with the third power of the depth.
     """
 
     def sizes(node: ast.expr) -> tuple[int, int, int]:
-        """Return about how many operations a node and its first and second derivatives have."""
+        """Estimate the number of operations of a node and its first and second derivatives."""
         if not isinstance(node, ast.BinOp | ast.UnaryOp | ast.Call):
             return 1, int(isinstance(node, ast.Name) and node.id not in reader.names), 0
         if isinstance(node, ast.BinOp):
@@ -222,9 +221,9 @@ def _refuse_long(tree: ast.expr, reader: _Reader) -> None:
 
 
 def overflows(expression: Any, numbers: Mapping[Any, Any]) -> bool:
-    """Return True if a part of an expression is beyond the largest float at these values of the symbols.
+    """Return True if a part of an expression exceeds the largest float for these values of the symbols.
 
-    SymPy would compute it with all of its digits. Parts with other symbols have no value and count for nothing.
+    SymPy would compute it with all digits. Parts with other symbols are ignored.
     """
     values: dict[Any, float] = {symbol: float(number) for symbol, number in numbers.items()}
     for node in sympy.postorder_traversal(expression):
@@ -259,7 +258,8 @@ UNDEFORMED = {symbol: sympy.Integer(3 if name in ("I1", "I2") else 1) for name, 
 def derivative(expression: Any, symbol: Any) -> Any:
     """Return the derivative of an expression by a symbol.
 
-    Symbols have no assumptions meanwhile: SymPy would look for the sign of every part and for roots of polynomials.
+    Assumptions on symbols are removed first: with them SymPy determines the sign of every part and roots of
+    polynomials.
     """
     plain = {one: sympy.Dummy(one.name) for one in expression.free_symbols | {symbol}}
     found = sympy.diff(expression.xreplace(plain), plain[symbol])
@@ -267,7 +267,7 @@ def derivative(expression: Any, symbol: Any) -> Any:
 
 
 def _symmetric(expression: Any, constants: Sequence[Any]) -> bool:
-    """Return whether the value stays when stretches are exchanged, at numbers that no identity can hold for."""
+    """Return True if the value is unchanged for exchanged stretches, tested at generic numbers."""
     numbers = {symbol: sympy.Float(0.7 + 0.31 * n) for n, symbol in enumerate(constants)}
     stretches = [SYMBOLS[name] for name in STRETCHES]
     values = []
@@ -281,7 +281,7 @@ def _symmetric(expression: Any, constants: Sequence[Any]) -> bool:
 
 
 class _Reader:
-    """Reads the syntax tree of an expression into SymPy, node by node: nothing of the text is ever executed."""
+    """Converts the syntax tree of an expression to SymPy, node by node; the text is never executed."""
 
     def __init__(self, text: str, names: Sequence[str]) -> None:
         self.text = text
@@ -341,7 +341,7 @@ class _Reader:
                 raise self.refused("divides by zero")
             return left / right
         if isinstance(operator, ast.Pow):
-            # SymPy computes powers of numbers exactly, as many digits as they have.
+            # SymPy computes powers of numbers exactly, with all digits.
             if left.is_number and right.is_number and not (
                 right.is_Rational and abs(right) * _bits(left) <= MOST_BITS
             ):  # fmt: skip
@@ -365,5 +365,5 @@ class _Reader:
 
 
 def _bits(number: Any) -> int:
-    """Return the bits of the numbers that a power multiplies."""
+    """Return the number of bits of the base of a power."""
     return sum(max(int(part.p).bit_length(), int(part.q).bit_length()) for part in number.atoms(sympy.Rational)) + 1

@@ -1,7 +1,7 @@
 """Loops over points, written for one strain energy and one kind of body, and compiled.
 
-An energy is differentiated by SymPy with respect to the scalars that it depends on. What multiplies the tensors of
-stress and tangent is then a list of numbers at each point, and only the tensors whose numbers are not zero are written.
+SymPy differentiates an energy with respect to its scalars. Stress and tangent are sums of tensors with scalar factors
+at each point; tensors with zero factors are omitted.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, U
 
 # A solid; a plane body without strain or without stress across it; a bar with free sides.
 DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
-# Equal stretches across the body that F does not show.
+# Number of equal hidden stretches.
 HIDDEN: dict[Kind, int] = {"solid": 0, "strain": 1, "stress": 1, "bar": 2}
-# Newton's method for a hidden stretch: largest number of steps, longest step and last one in its logarithm.
+# Newton's method for a hidden stretch: largest number of steps, largest step and final step of its logarithm.
 STEPS, LONGEST, LAST = 100, 0.4, 1e-9
-# Ends a block among lines of a text.
+# Marks the end of a block.
 BACK = "<"
-# Most terms that products are multiplied out to.
+# Largest number of terms of expanded products.
 MOST_TERMS = 500
 
 _b = sympy.Symbol("b", positive=True)
@@ -42,13 +42,12 @@ _root = sympy.Symbol("root", positive=True)
 
 
 class Loops(NamedTuple):
-    """What is compiled for an energy and a kind of body.
+    """Compiled loops for an energy and a kind of body.
 
-    ``kernels`` as those of every material, with the fibre directions of a point in the place of a history.
-    ``across(F, select, constants, directions, result)`` writes the product of the hidden stretches, NaN where they are
-    not found, or in plane strain the stress ``P_zz``; nothing for a solid.
-    ``inside`` writes, in the same way, how far the nearest of the bounds of the energy is as a share of its distance at
-    F = I, not positive beyond it; None for an energy without bounds.
+    ``kernels`` are those of every material, with the fibre directions of a point as history. ``across(F, select,
+    constants, directions, result)`` writes the product of the hidden stretches, NaN if the iteration fails, or in plane
+    strain the stress ``P_zz``; None for a solid. ``inside`` writes, in the same way, the distance to the nearest bound
+    of the energy over that at F = I, not positive beyond it; None for an energy without bounds.
     """
 
     kernels: HistoryKernels
@@ -63,7 +62,7 @@ def loops_of(energy: Energy, kind: Kind) -> Loops:
     Parameters
     ----------
     energy : Energy
-        Its constants are read when the loops run.
+        The energy; the loops read its constants at run time.
     kind : {"solid", "strain", "stress", "bar"}
         The body.
     """
@@ -74,7 +73,7 @@ def loops_of(energy: Energy, kind: Kind) -> Loops:
 
 
 class Scalars(NamedTuple):
-    """Derivatives of an energy with respect to its scalars, times what makes the tensors beside them simple.
+    """Derivatives of an energy with respect to its scalars, scaled to simplify the tensors.
 
     ``names`` of the scalars, first derivatives ``g`` and second ones ``h`` by pairs of names; of the hidden stretch b
     the residual ``r = d psi / db`` and its derivative.
@@ -89,11 +88,11 @@ class Scalars(NamedTuple):
 
 @lru_cache
 def invariant_scalars(energy: Energy, kind: Kind) -> Scalars:
-    """Return what multiplies ``F, I1 F - F C, F^-T, f (x) a, f (x) c + F c (x) a`` and their products.
+    """Compute the factors of ``F, I1 F - F C, F^-T, f (x) a, f (x) c + F c (x) a`` and their products.
 
     With ``D`` these tensors, ``f = F a`` and ``c = C a``, the stress is ``sum_a g_a D_a`` and the tangent
-    ``sum_ab h_ab D_a (x) D_b`` plus terms in g alone. In h are the parts of second derivatives of I2 and J that have
-    this form, and for a free hidden stretch what its change with F takes away, ``- r_a r_b / slope``.
+    ``sum_ab h_ab D_a (x) D_b`` plus terms in g only. h includes the parts of second derivatives of I2 and J of this
+    form, and for a free hidden stretch the condensation ``- r_a r_b / slope``.
     """
     psi, hidden = energy.expression, HIDDEN[kind]
     names = tuple(name for name in INVARIANTS if SYMBOLS[name] in psi.free_symbols)
@@ -132,7 +131,7 @@ def invariant_scalars(energy: Energy, kind: Kind) -> Scalars:
 
 
 def _hidden_derivatives(hidden: int) -> tuple[dict[str, Any], dict[str, Any], Any]:
-    """Return first and second derivatives of invariants with respect to b, and what I2 adds to the change with F."""
+    """Return first and second derivatives of invariants with respect to b, and the mixed derivative of I2 with F."""
     J, b = SYMBOLS["J"], _b
     if hidden == 1:
         return {"I1": 2 * b, "I2": 2 * b * _i1, "J": J / b}, {"I1": 2, "I2": 2 * _i1, "J": 0}, 4 * b
@@ -141,7 +140,7 @@ def _hidden_derivatives(hidden: int) -> tuple[dict[str, Any], dict[str, Any], An
 
 
 def _tidy(value: Any) -> Any:
-    """Return the shorter of a value and the same with products multiplied out, where terms may cancel."""
+    """Return the shorter of an expression and its expanded form, in which terms may cancel."""
     value = sympy.sympify(value)
     if _terms(value) > MOST_TERMS:
         return value
@@ -150,7 +149,7 @@ def _tidy(value: Any) -> Any:
 
 
 def _terms(value: Any) -> int:
-    """Return how many terms a value has once products are multiplied out: 2^n of n factors with two terms each."""
+    """Return the number of terms of the expanded expression: 2^n for n factors with two terms each."""
     terms: dict[Any, int] = {}
     for node in sympy.postorder_traversal(value):
         parts = [terms[part] for part in node.args]
@@ -159,7 +158,7 @@ def _terms(value: Any) -> int:
 
 
 class _Printer(NumPyPrinter):  # type: ignore[misc]
-    """Prints whole powers as such, which are compiled to products, and positive parts."""
+    """Prints integer powers, which are compiled to products, and positive parts."""
 
     def __init__(self) -> None:
         super().__init__({"fully_qualified_modules": True})
@@ -192,7 +191,7 @@ class _Text:
         self.depth = 0
 
     def add(self, *lines: str) -> None:
-        """Add lines at the present depth; one that ends with a colon indents the next ones until ``BACK``."""
+        """Add lines at the present indentation; a line that ends with a colon indents the next lines until ``BACK``."""
         for line in lines:
             if line == BACK:
                 self.depth -= 1
@@ -201,7 +200,7 @@ class _Text:
             self.depth += line.endswith(":")
 
     def block(self, *lines: str) -> None:
-        """Add lines, and end the blocks that they open."""
+        """Add lines, and close the blocks that they open."""
         depth = self.depth
         self.add(*lines)
         self.depth = depth
@@ -211,17 +210,17 @@ class _Text:
         self.block(*(f"for {index} in range({self.dim}):" for index in indices), *lines)
 
     def sum(self, term: str, index: str = "k", start: str = "0.0", sign: str = "+") -> tuple[str, ...]:
-        """Return lines that sum a term over an index to ``value``."""
+        """Return lines that add the sum of a term over an index to ``value``."""
         return f"value = {start}", f"for {index} in range({self.dim}):", f"value {sign}= {term}", BACK
 
     def values(self, named: dict[str, Any]) -> None:
-        """Add lines that compute expressions, what they share once."""
+        """Add lines that compute expressions, with common subexpressions once."""
         J = SYMBOLS["J"]
 
         def of_root(power: Any) -> bool:
             return bool(power.is_Pow and power.base == J and power.exp.is_Rational and power.exp.q == 3)
 
-        # Powers of J^(-1/3) are whole powers of the root, far cheaper than powers of J.
+        # Powers of J^(-1/3) are integer powers of the root, which are much faster than powers of J.
         wanted = [
             sympy.sympify(value).replace(of_root, lambda power: _root ** int(3 * power.exp)) for value in named.values()
         ]
@@ -265,11 +264,11 @@ _HEADER = (
 
 
 def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any, slope: Any) -> None:
-    """Write the function that finds the hidden stretch: ``r(b) = 0`` by Newton's method in ``ln b``, NaN if it fails.
+    """Write the function for the hidden stretch: ``r(b) = 0`` by Newton's method in ``ln b``, NaN if it fails.
 
-    The residual of ``ln b`` is ``b r`` with the slope ``b r + b^2 r'``. Where that is not positive, the energy has no
-    minimum nearby, and a step goes down the energy. The start is that of the linear law, whose ratio of the logarithms
-    of b and of the determinant of the shown part of F is the last constant.
+    The residual of ``ln b`` is ``b r`` with the slope ``b r + b^2 r'``. If the slope is not positive, the energy has no
+    minimum nearby, and the step descends the energy. The initial value is that of the linear law. The last constant is
+    its ratio of ``ln b`` to the logarithm of the determinant of F.
     """
     depth = text.depth
     text.add("", "", "@compiled", f"def lateral({', '.join(arguments)}, logarithm, constants):")
@@ -277,7 +276,7 @@ def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any
     text.add(
         f"s = constants[{len(text.energy.names)}] * logarithm", f"for _ in range({STEPS}):", "b = numpy.exp(s)", *known
     )
-    # One logarithm and one exponential less in every step: ln J is known, and so is exp of the small last change.
+    # ln J and the exponential of the small last change are reused, which saves a logarithm and an exponential per step.
     text.add(f"log_J = logarithm + {text.hidden + 0.0} * s")
     log_J = {sympy.log(SYMBOLS["J"]): sympy.Symbol("log_J", real=True)}
     text.values({"residual": (_b * r).subs(log_J), "bend": (_b**2 * slope).subs(log_J)})
@@ -375,7 +374,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
         if second:
             isochoric()
         text.each("ik", *text.sum("F[p, i, m] * F[p, k, m]", "m"), "B[i, k] = value")
-    # Where a scalar stands beside itself alone, the product needs no array.
+    # A scalar that is coupled to itself only requires no array for the product.
     alone = [name for name in of_h if [n for m, n in pairs if m == name] == [name]]
     for name in of_h:
         if name in alone:
@@ -483,7 +482,7 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
     text.each(
         "ac", "normal = h[min(a, c), max(a, c)]", "same = 0.0", "swapped = 0.0", "if a != c:",
         "apart = stretch[a] - stretch[c]",
-        # The difference quotient loses digits where stretches are nearly equal, and its limit is exact to second order.
+        # The difference quotient loses digits for nearly equal stretches; its limit is exact to second order.
         "if abs(apart) > 1e-5 * (stretch[a] + stretch[c]):", "difference = (g[a] - g[c]) / apart", BACK,
         "else:", "difference = 0.5 * (h[a, a] + h[c, c]) - h[min(a, c), max(a, c)]", BACK,
         "total = (g[a] + g[c]) / (stretch[a] + stretch[c])", "same = 0.5 * (difference + total)",
@@ -508,21 +507,21 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
 
 
 def _nearest_bound(text: _Text, hidden: dict[Any, Any]) -> None:
-    """Write what ``inside`` writes at a point, and end it."""
+    """Write the part of ``inside`` for a point, and close it."""
     shares = [one.subs(hidden) / one.xreplace(UNDEFORMED) for one in text.energy.bounds]
     text.values({f"share{number}": share for number, share in enumerate(shares)})
     text.add("result[row] = share0")
     for number in range(1, len(shares)):
-        # A share that is no number is none either way.
+        # NaN is outside as well.
         text.block(f"if not share{number} > result[row]:", f"result[row] = share{number}")
     text.end()
 
 
 def _module(text: str) -> ModuleType:
-    """Return a module of a text that this file wrote, whose compiled loops are cached on disk where that is possible.
+    """Execute a generated text as a module; its compiled loops are cached on disk if possible.
 
-    Numba keeps machine code beside a source file, under a name that does not change with the run. The file is there for
-    that alone: what is executed is the text.
+    Numba stores machine code beside a source file with a constant name. The file serves the cache only: the text is
+    executed.
     """
     digest = hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
     name = f"energy_{digest}"
@@ -540,7 +539,7 @@ def _module(text: str) -> ModuleType:
 
 
 def _written(text: str, name: str) -> Path | None:
-    """Write the text to a file of its name, unless it is there; return its path, None where no folder takes it."""
+    """Write the text to a file unless it exists; return its path, None if no folder is writable."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     homes = [Path(chosen)] if chosen else [Path(__file__).parent / "__pycache__", *_of_user()]
     for home in homes:
@@ -550,7 +549,7 @@ def _written(text: str, name: str) -> Path | None:
                 if path.read_text() == text:
                     return path
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Whole or not at all: another process may read it at any time.
+            # Atomic, because another process may read the file at any time.
             handle, draft = tempfile.mkstemp(dir=path.parent, suffix=".part")
             with os.fdopen(handle, "w") as file:
                 file.write(text)
@@ -562,6 +561,6 @@ def _written(text: str, name: str) -> Path | None:
 
 
 def _of_user() -> list[Path]:
-    """Return the folder for what programs of this user keep for later, none without a home, as in a container."""
+    """Return the cache folder of this user; none without a home folder, as in a container."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     return [folder] if folder.is_absolute() else []

@@ -1,4 +1,4 @@
-"""How much an equivalent stress makes a metal flow in a step."""
+"""Plastic flow of a metal in a step for an equivalent stress."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pdpetsc.material.roots import falling_roots
 
 
 class Flow(NamedTuple):
-    """Resistance to flow: yield stress, its hardening, and what rates add.
+    """Resistance to flow: yield stress, hardening and rate dependence.
 
     Attributes
     ----------
     yield_stress : float
-        Before any flow [stress].
+        Initial yield stress [stress].
     hardening : Hardening
-        Its increase.
+        Increase of the yield stress.
     rate : RateLaw or None
-        What more a rate takes.
+        Rate dependence; None without.
     """
 
     yield_stress: float
@@ -34,13 +34,13 @@ class Flow(NamedTuple):
         return self.yield_stress + self.hardening.increase(alpha)
 
     def growth(self, q: Float, alpha: Float, dt: Float, stiffness: float) -> tuple[GlobalIndex, Float, Float]:
-        """Return the points that flow, the growth d of alpha there, and the slope of their resistance.
+        """Compute the points that flow, the growth d of alpha there, and the slope of their resistance.
 
         Parameters
         ----------
         q, alpha, dt : (n,) float64
-            Trial stress [stress], plastic strain [-] and time of the step [time]; none flows in no time where its rate
-            counts.
+            Trial stress [stress], plastic strain [-] and duration of the step [time]. A rate-dependent material does
+            not flow in a step of zero duration.
         stiffness : float
             s in ``q - s d = resistance(alpha + d)`` [stress].
         """
@@ -58,7 +58,7 @@ class Flow(NamedTuple):
             return q[some] - stiffness * d - stress, -stiffness - slope
 
         first = excess(np.zeros(len(q)), np.arange(len(q)))
-        # The first step of Newton's method, which is exact for linear hardening.
+        # The first Newton step is exact for linear hardening.
         found = falling_roots(excess, -first[0] / first[1], q / stiffness, q)
         return rows, found, self._resistance(alpha, found, dt)[1]
 
@@ -80,7 +80,7 @@ class Flow(NamedTuple):
 
 
 class Yields:
-    """What metals have in common whose stress is bounded by a yield stress that does not fall; beside a base of theirs.
+    """Mixin of metals with a yield stress that does not decrease.
 
     Attributes
     ----------
@@ -92,15 +92,15 @@ class Yields:
     hardening: float | Hardening
     rate: RateLaw | None
 
-    # The yield stress does not fall: what is to be found lies between two bounds.
+    # The yield stress does not decrease, so the solution lies between two bounds.
     may_fail: ClassVar[bool] = False
 
     @property
     def flow(self) -> Flow:
-        """Return its resistance to flow."""
+        """Return the resistance to flow."""
         return Flow(self.yield_stress, law_of(self.hardening), self.rate)
 
     @property
     def duration(self) -> float | None:
-        """Return that of the rate law."""
+        """Return the duration of the rate law."""
         return None if self.rate is None else self.rate.duration

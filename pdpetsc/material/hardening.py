@@ -1,6 +1,7 @@
-"""Hardening laws: how much the yield stress has grown after an accumulated plastic strain ``alpha``.
+"""Hardening laws: increase of the yield stress with the accumulated plastic strain ``alpha``.
 
-A law is a declared object with three functions of ``alpha``; laws add up. One of your own derives from ``Hardening``.
+A law is a declared object with three functions of ``alpha``; laws can be added. Derive from ``Hardening`` for a new
+law.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from pdpetsc.errors import CaseError
 
 
 class Hardening(Declared, ABC):
-    """How the yield stress grows with the accumulated plastic strain.
+    """Increase of the yield stress with the accumulated plastic strain.
 
-    The increase is 0 at 0 and never falls: where it did, plastic flow would gather in a band as narrow as the
-    particles allow, and the answer would be theirs.
+    The increase is 0 at 0 and does not decrease. With a decrease plastic flow localises in a band of the width of the
+    particles, and results depend on the spacing.
 
     Examples
     --------
@@ -33,18 +34,18 @@ class Hardening(Declared, ABC):
 
     @abstractmethod
     def increase(self, alpha: Float) -> Float:
-        """Return the increase ``R(alpha)`` of the yield stress (n,) [stress], for ``alpha`` (n,) from 0 on [-]."""
+        """Compute the increase ``R(alpha)`` of the yield stress (n,) [stress], for ``alpha`` (n,) from 0 on [-]."""
 
     @abstractmethod
     def slope(self, alpha: Float) -> Float:
-        """Return ``dR/dalpha`` (n,) [stress], not negative; it may be infinite at 0."""
+        """Compute ``dR/dalpha`` (n,) [stress], not negative; it may be infinite at 0."""
 
     @abstractmethod
     def integral(self, alpha: Float) -> Float:
-        """Return the integral of R from 0 to ``alpha`` (n,) [energy / volume]."""
+        """Compute the integral of R from 0 to ``alpha`` (n,) [energy / volume]."""
 
     def __add__(self, other: Hardening) -> Sum:
-        """Return the law whose increase is that of both."""
+        """Return the sum of both laws."""
         if not isinstance(other, Hardening):
             return NotImplemented
         return Sum((*_parts(self), *_parts(other)))
@@ -83,14 +84,14 @@ class Linear(Hardening):
 
 @dataclass(frozen=True)
 class Voce(Hardening):
-    """``R = Q (1 - exp(-b alpha))``, which ends at Q.
+    """``R = Q (1 - exp(-b alpha))``, with the limit Q.
 
     Parameters
     ----------
     Q : float
         Largest increase [stress], not negative.
     b : float
-        How fast it is reached [-], positive.
+        Rate of saturation [-], positive.
 
     References
     ----------
@@ -121,9 +122,10 @@ class Voce(Hardening):
 
 @dataclass(frozen=True)
 class Power(Hardening):
-    """``R = K ((alpha_0 + alpha)^n - alpha_0^n)``: Ludwik's law where ``alpha_0`` is 0, else Swift's.
+    """``R = K ((alpha_0 + alpha)^n - alpha_0^n)``: Ludwik's law if ``alpha_0`` is 0, else Swift's.
 
-    Swift's yield stress ``K (alpha_0 + alpha)^n`` has the initial one ``K alpha_0^n``, which the material is given.
+    Swift's yield stress is ``K (alpha_0 + alpha)^n``: declare its initial value ``K alpha_0^n`` as yield stress of the
+    material.
 
     Parameters
     ----------
@@ -132,7 +134,7 @@ class Power(Hardening):
     n : float
         Exponent [-], positive and at most 1.
     alpha_0 : float
-        Plastic strain at the start [-], not negative.
+        Initial plastic strain [-], not negative.
 
     References
     ----------
@@ -183,12 +185,12 @@ class Tabular(Hardening):
     strains : sequence of float
         Accumulated plastic strains [-], ascending from 0.
     increases : sequence of float
-        Increase of the yield stress at each [stress], from 0 on and not falling.
+        Increase of the yield stress at each strain [stress], starting at 0 and not decreasing.
 
     Raises
     ------
     CaseError
-        A table does not start at 0, or falls.
+        A table does not start at 0, or decreases.
 
     Examples
     --------
@@ -210,16 +212,16 @@ class Tabular(Hardening):
                 f"Tabular needs plastic strains that ascend from 0 and increases of the yield stress that start with 0 "
                 f"and do not fall, not {_short(x)} and {_short(y)}."
             )
-        # Not arrays, with which two materials could not be compared.
+        # Not arrays, so that materials can be compared.
         object.__setattr__(self, "strains", tuple(float(value) for value in x))
         object.__setattr__(self, "increases", tuple(float(value) for value in y))
 
     def increase(self, alpha: Float) -> Float:
-        """Return the increase on the straight lines."""
+        """Return the interpolated increase."""
         return np.asarray(np.interp(alpha, self.strains, self.increases))
 
     def slope(self, alpha: Float) -> Float:
-        """Return the slope of the line that follows."""
+        """Return the slope of the line to the right."""
         slopes = np.append(np.diff(self.increases) / np.diff(self.strains), 0.0)
         return np.asarray(slopes[np.searchsorted(self.strains, alpha, side="right") - 1])
 
@@ -233,7 +235,7 @@ class Tabular(Hardening):
 
 @dataclass(frozen=True)
 class Sum(Hardening):
-    """The sum of laws, as ``+`` gives it.
+    """The sum of laws, the result of ``+``.
 
     Parameters
     ----------
@@ -269,7 +271,7 @@ class Sum(Hardening):
 
 
 def law_of(hardening: float | Hardening) -> Hardening:
-    """Return a law, ``Linear`` for a number."""
+    """Return a hardening law, ``Linear`` for a number."""
     return hardening if isinstance(hardening, Hardening) else Linear(hardening)
 
 

@@ -1,4 +1,4 @@
-"""Hyperelastic materials from a strain energy written in one line, and named laws made of it."""
+"""Hyperelastic materials from a strain energy written in one line, and base of named laws."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from pdpetsc.material.energy import Energy
     from pdpetsc.material.energy_loops import Loops
 
-# A unit vector, or a function that gives one for every position.
+# A unit vector, or a function that returns unit vectors for positions.
 Direction: TypeAlias = Sequence[float] | Callable[[Float], Float]
-# How far the length of a direction may be from 1, and the stress at F = I from zero over the largest modulus.
+# Tolerance of the length of a direction, and of the stress at F = I over the largest modulus.
 NEARLY_ONE, NEARLY_ZERO = 1e-6, 1e-9
-# The part of named laws that resists changes of volume.
+# Volumetric part of named laws.
 VOLUMETRIC = "kappa/4 * (J**2 - 1 - 2*log(J))"
 
 
 class EnergyMaterial(Material):
-    """A material whose strain energy is a text; stress, tangent and hidden stretches are derived from it.
+    """A material with a strain energy as text; stress, tangent and hidden stretches derive from it.
 
-    A plane body without stress across it finds the stretch there, and a bar its lateral stretch, from
-    ``d psi / d b = 0`` at every point; the tangent is condensed with it.
+    In plane stress the out-of-plane stretch, and in a bar the lateral stretch, follows from ``d psi / d b = 0`` at
+    every point. The tangent is condensed accordingly.
     """
 
     @abstractmethod
@@ -41,7 +41,7 @@ class EnergyMaterial(Material):
         """Return the text of the energy and its constants."""
 
     def directions(self) -> tuple[Direction, ...]:
-        """Return the directions of its fibres that are given, in the order of the fields."""
+        """Return the declared fibre directions, in the order of the fields."""
         given = (getattr(self, name, None) for name in ("fibre", "second_fibre"))
         return tuple(direction for direction in given if direction is not None)
 
@@ -61,7 +61,7 @@ class EnergyMaterial(Material):
         for field in ("fibre", "second_fibre"):
             direction = getattr(self, field, None)
             if direction is not None and not callable(direction):
-                # Not an array, with which two materials could not be compared.
+                # Not an array, so that materials can be compared.
                 object.__setattr__(self, field, tuple(_unit(direction, name).tolist()))
         try:
             self._refuse_bad_start()
@@ -70,7 +70,7 @@ class EnergyMaterial(Material):
 
     @property
     def _energy(self) -> Energy:
-        # SymPy takes a while to import, which cases without such a material need not wait for.
+        # Imported here because SymPy is slow to import.
         from pdpetsc.material.energy import parse
 
         text, constants = self.declared_energy()
@@ -86,7 +86,7 @@ class EnergyMaterial(Material):
         return self._loops(dim).kernels
 
     def constants(self, dim: int) -> Float:
-        """Return the constants in the order in which they were given, and the lateral ratio of the linear law."""
+        """Return the constants in the declared order, and the lateral ratio of the linear law."""
         lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
         ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
         return np.array([*self._values(), ratio[self.kind(dim)]])
@@ -111,7 +111,7 @@ class EnergyMaterial(Material):
             if len(unit) != dim:
                 raise CaseError(f"The fibres of {name} have {len(unit)} components, but the body has {dim} dimensions.")
             return np.tile(unit, (len(x), 1))
-        if len(x) == 0:  # a function of positions need not know what to make of none
+        if len(x) == 0:  # the function may not support empty arrays
             return np.empty((0, dim))
         values = numbers_from(f"fibre direction of {name}", direction, x)
         if values.shape != x.shape:
@@ -128,7 +128,7 @@ class EnergyMaterial(Material):
         return np.asarray(values / length[:, None])
 
     def uniform(self) -> Material:
-        """Return it with all fibres along the first axis."""
+        """Return the material with all fibres along the first axis."""
         given = {name: _along_first for name in ("fibre", "second_fibre") if getattr(self, name, None) is not None}
         declared: Any = self
         replaced: Material = dataclasses.replace(declared, **given)
@@ -141,7 +141,7 @@ class EnergyMaterial(Material):
         return result
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
-        """Return whether the hidden stretch is found at all points ``select``, within the bounds of the energy."""
+        """Return True if the hidden stretch exists at all points ``select``, within the bounds of the energy."""
         inside = self._loops(F.shape[-1]).inside
         if inside is not None:
             shares = np.empty(len(select))
@@ -162,7 +162,7 @@ class EnergyMaterial(Material):
         return self._across(F, np.arange(len(F)), history)
 
     def moduli(self, dim: int) -> Float:
-        """Return ``dP/dF`` at F = I; where directions are functions of place, its isotropic mean."""
+        """Return ``dP/dF`` at F = I, or its isotropic mean if directions are functions of position."""
         given = self.directions()
         if any(callable(direction) for direction in given):
             lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(given)))
@@ -172,7 +172,7 @@ class EnergyMaterial(Material):
         return moduli_of_body(solid, dim, self.plane)
 
     def bulk_like_modulus(self, dim: int) -> float:
-        """Return that of the isotropic mean [stress]: the same however directions are given."""
+        """Return the value of the isotropic mean [stress], which does not depend on directions."""
         mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
         return float(np.einsum("iikk", moduli_of_body(mean, dim, self.plane))) / dim**2
 
@@ -192,7 +192,7 @@ class EnergyMaterial(Material):
         return mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
 
     def _refuse_bad_start(self) -> None:
-        """Raise CaseError where the undeformed state has a stress or is not stable."""
+        """Raise CaseError if the undeformed state has a stress or is not stable."""
         name = type(self).__name__
         given = self.directions()
         fixed = all(not callable(one) for one in given)
@@ -232,7 +232,7 @@ def _unit(direction: Direction, name: str) -> Float:
 
 @lru_cache
 def _starts_with_a_value(energy: Energy, constants: tuple[float, ...]) -> bool:
-    """Return whether the energy, which is 0 at F = I, takes no logarithm of a negative number there."""
+    """Return True if the energy, 0 at F = I, is defined there: no logarithm of a negative number."""
     import sympy
 
     from pdpetsc.material.energy import UNDEFORMED
@@ -267,7 +267,7 @@ def _undeformed(energy: Energy, constants: tuple[float, ...], axes: tuple[tuple[
         l1, l2 = SYMBOLS["l1"], SYMBOLS["l2"]
         first = derivative(energy.expression, l1)
         stress, lam, whole = value(first), value(derivative(first, l2)), value(derivative(first, l1))
-        # Of the shear moduli (dP/dF)_abab and (dP/dF)_abba half the sum counts, half the difference is half the stress.
+        # For the shear moduli (dP/dF)_abab and (dP/dF)_abba use half the sum; half the difference is half the stress.
         moduli = isotropic_moduli(lam, 0.5 * (whole - lam), 3)
         return stress * one, moduli
     scalars = invariant_scalars(energy, "solid")
@@ -315,9 +315,9 @@ class Hyperelastic(EnergyMaterial):
       ``J^(-1/3) F``;
     - or principal stretches ``l1, l2, l3``, ``l1bar, ...``, ``J``, in which it must be symmetric.
 
-    Stress and tangent are derived from it exactly and compiled once; the machine code is kept on disk. The value at
-    F = I is taken off. Strains beyond a bound, where the argument of a logarithm or a divisor changes its sign,
-    have no stress: a step that leads there is cut back.
+    Stress and tangent are derived from it exactly and compiled once; the machine code is kept on disk. The value at F =
+    I is subtracted. There is no stress beyond a bound, at which the argument of a logarithm or a divisor changes its
+    sign: a step that leads there is cut back.
 
     Parameters
     ----------
@@ -326,18 +326,18 @@ class Hyperelastic(EnergyMaterial):
     plane : {"strain", "stress"}
         Plane strain or plane stress of a two-dimensional body.
     fibre, second_fibre : sequence of float or callable, optional
-        Unit vectors in the undeformed body, as many components as it has dimensions, or functions of positions
-        (n, dim) that return them (n, dim).
+        Unit vectors (dim,) in the undeformed body, or functions of positions (n, dim) that return unit vectors (n,
+        dim).
     values : mapping of str to float, optional
         Constants by name [stress, or none].
     **constants : float
-        The same, as arguments.
+        Constants as keyword arguments.
 
     Raises
     ------
     CaseError
-        The energy is no such expression, has a stress or no positive definite stiffness at F = I, a constant is
-        missing, not used or no number, or a direction is no unit vector.
+        The energy is no such expression, or has a stress or no positive definite stiffness at F = I. A constant is
+        missing, unused or no number, or a direction is no unit vector.
 
     References
     ----------

@@ -27,20 +27,20 @@ class J2(Yields, LogarithmicMaterial):
         q > y(alpha): q - 3 mu d_alpha = y(alpha + d_alpha),  s := (1 - 3 mu d_alpha / q) s
 
     and ``P = tau F^-T``, ``A = dP/dF`` with the moduli of the return. ``y = yield_stress + R(alpha)``; with a rate law
-    the flow resists with more than y. In a bar and in plane stress the hidden strains leave no stress. The energy is
-    elastic energy and the integral of the flow resistance over ``alpha``; the stress of a step is its derivative.
-    History is G, the hidden strains and alpha; it changes only when a step has converged.
+    the flow resistance exceeds y. In a bar and in plane stress the hidden stresses are zero. The energy is elastic
+    energy plus the integral of the flow resistance over ``alpha``; the stress of a step is its derivative. The history
+    is G, the hidden strains and alpha; it changes at converged steps only.
 
     Parameters
     ----------
     E, nu, plane
         Young's modulus [stress], Poisson's ratio [-] and ``"strain"`` or ``"stress"``, as for every ``Material``.
     yield_stress : float
-        Yield stress before any flow [stress], positive.
+        Initial yield stress [stress], positive.
     hardening : float or Hardening
         R, one of ``pd.hardening`` or a sum of them; a number is the slope of the yield stress [stress], not negative.
     rate : RateLaw, optional
-        One of ``pd.rate``; the material flows equally at any rate where absent.
+        One of ``pd.rate``; rate-independent by default.
 
     Raises
     ------
@@ -64,12 +64,12 @@ class J2(Yields, LogarithmicMaterial):
     rate: RateLaw | None = None
 
     def _linear_loops(self, dim: int) -> bool:
-        """Return whether loops made for linear hardening do all of it."""
+        """Return True if the loops for linear hardening apply."""
         free = dim == 2 and self.plane == "stress"
         return self.rate is None and not free and isinstance(law_of(self.hardening), Linear)
 
     def constants(self, dim: int) -> Float:
-        """Return ``lambda, mu, y, H`` of linear hardening, else the time of the step."""
+        """Return ``lambda, mu, y, H`` of linear hardening, else the duration of the step."""
         if not self._linear_loops(dim):
             return super().constants(dim)
         return np.array([*self.lame(dim), self.yield_stress, float(law_of(self.hardening).slope(np.zeros(())))])
@@ -79,7 +79,7 @@ class J2(Yields, LogarithmicMaterial):
         return HistoryKernels(*LINEAR_RETURN) if self._linear_loops(dim) else super().history_kernels(dim)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return it in closed form in a bar with linear hardening, whose plastic strain keeps its volume."""
+        """Return the hidden stretch; closed form for a bar with linear hardening and isochoric plastic strain."""
         if F.shape[-1] > 1 or not self._linear_loops(1):
             return super().hidden_stretch(F, history, dt)
         _, _, y, H = self.constants(1)
@@ -97,7 +97,7 @@ class J2(Yields, LogarithmicMaterial):
         return P
 
     def initial_state(self) -> Float:
-        """Return alpha, after the work of flow where that depends on its rate."""
+        """Return initial alpha, after the plastic work if flow depends on its rate."""
         return np.zeros(1 if self.rate is None else 2)
 
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
@@ -131,7 +131,7 @@ class J2(Yields, LogarithmicMaterial):
         return Response(tau, found, mean[:, None] + scaled, after)
 
     def energy(self, elastic: Float, state: Float) -> Float:
-        """Return elastic energy and the work of flow."""
+        """Return elastic energy plus plastic work."""
         mu, K = self.shear_and_bulk
         alpha, mean = state[:, -1], elastic.mean(axis=1)
         work = self.flow.work(np.zeros(len(alpha)), alpha, alpha) if self.rate is None else state[:, 0]

@@ -24,15 +24,15 @@ class KinematicJ2(Yields, LagrangianMaterial):
         T = K tr(E) I + 2 mu e,  X = 2/3 kinematic E_p,  q = sqrt(3/2 |2 mu e - X|^2)
         q > y(alpha): q - (3 mu + kinematic) d_alpha = y(alpha + d_alpha)
 
-    In a bar the centre of the yield surface moves by ``kinematic`` times the plastic strain (Prager), so that it yields
-    earlier after the load has turned. Without kinematic hardening it is ``J2`` where strains keep their axes.
+    In a bar the centre of the yield surface moves by ``kinematic`` times the plastic strain (Prager), so that the bar
+    yields earlier after load reversal. Without kinematic hardening the law is ``J2`` if strains keep their axes.
 
     Parameters
     ----------
     E, nu, plane
         Young's modulus [stress], Poisson's ratio [-] and ``"strain"`` or ``"stress"``, as for every ``Material``.
     yield_stress : float
-        Yield stress before any flow [stress], positive.
+        Initial yield stress [stress], positive.
     kinematic : float
         Kinematic hardening modulus [stress], not negative.
     hardening : float or Hardening
@@ -61,7 +61,7 @@ class KinematicJ2(Yields, LagrangianMaterial):
     rate: RateLaw | None = None
 
     def initial_state(self) -> Float:
-        """Return plastic strain, work of flow and alpha."""
+        """Return initial plastic strain, plastic work and alpha."""
         return np.zeros(8)
 
     def plastic_strain(self, history: Float) -> Float:
@@ -69,7 +69,7 @@ class KinematicJ2(Yields, LagrangianMaterial):
         return history[:, -1]
 
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
-        """Return the deviator, less the back stress, scaled back to the yield stress."""
+        """Return the deviator minus back stress, scaled back to the yield stress."""
         mu, K = self.shear_and_bulk
         plastic, alpha = state[:, :6], state[:, 7]
         e = (strain - plastic) @ DEVIATOR
@@ -96,7 +96,7 @@ class KinematicJ2(Yields, LagrangianMaterial):
         return TensorResponse(T, found, after)
 
     def energy(self, strain: Float, state: Float) -> Float:
-        """Return elastic energy, that of the back stress, and the work of flow against the yield stress."""
+        """Return elastic energy, energy of the back stress, and plastic work of the yield stress."""
         mu, K = self.shear_and_bulk
         e = (strain - state[:, :6]) @ DEVIATOR
         volume = strain[:, :3].sum(axis=1)

@@ -1,4 +1,4 @@
-"""Laws whose history has directions of its own, additive in the Lagrangian logarithmic strain."""
+"""Laws with tensor history, additive in the Lagrangian logarithmic strain."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ DEVIATOR = np.eye(6) - np.outer(ONE, ONE) / 3.0
 
 
 class TensorResponse(NamedTuple):
-    """What a law answers to a strain, symmetric tensors as vectors ``11, 22, 33, sqrt(2) 23, sqrt(2) 13, sqrt(2) 12``.
+    """Response of a law to a strain; symmetric tensors are vectors ``11, 22, 33, sqrt(2) 23, sqrt(2) 13, sqrt(2) 12``.
 
     Attributes
     ----------
     T : (n, 6) float64
-        Stress conjugate to the logarithmic strain [stress]; NaN where the law has found none.
+        Stress conjugate to the logarithmic strain [stress]; NaN if the law fails.
     moduli : (n, 6, 6) float64 or None
-        ``dT / dE`` [stress], where asked.
+        ``dT / dE`` [stress], if requested.
     state : (n, n_state) float64
-        What is remembered if the step ends here.
+        State if the step ends here.
     """
 
     T: Float
@@ -48,19 +48,18 @@ class _Frame(NamedTuple):
 class LagrangianMaterial(SteppedMaterial):
     r"""A small-strain law ``T(E)`` in the Lagrangian logarithmic strain ``E = 1/2 ln(F^T F)``.
 
-    Whatever law of small strain is written in E is a law of finite strain that is objective and keeps its potential:
-    ``P = F S``, ``S = 2 T : dE/dC``, and the tangent follows with the second derivative of E (Miehe, Apel, Lambrecht,
-    2002). Inelastic strains are subtracted from E, so that history has directions of its own, as those of a back
-    stress, which principal values do not show. Where strain and history keep their axes it is the law of the
-    multiplicative split; in large shear the two differ. In plane stress and in a bar the strains that F does not show
-    leave no stress.
+    Every law of small strain becomes in E an objective law of finite strain with the same potential: ``P = F S``,
+    ``S = 2 T : dE/dC``, and the tangent follows with the second derivative of E (Miehe, Apel, Lambrecht, 2002).
+    Inelastic strains are subtracted from E. The history may contain tensors, such as a back stress, with their own
+    directions. If strain and history keep their axes, the law is that of the multiplicative split; in large shear both
+    differ. In plane stress and in a bar the hidden stresses are zero.
 
-    A law gives ``respond``, ``energy`` and ``initial_state``.
+    A law defines ``respond``, ``energy`` and ``initial_state``.
 
     Parameters
     ----------
     E, nu, plane
-        As for every material with Young's modulus: ``"strain"`` or ``"stress"``.
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"``.
 
     References
     ----------
@@ -69,23 +68,23 @@ class LagrangianMaterial(SteppedMaterial):
 
     @abstractmethod
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
-        """Return what a step ends with.
+        """Compute the response at the end of a step.
 
         Parameters
         ----------
         strain : (n, 6) float64
             Logarithmic strain [-], as a vector.
         state : (n, n_state) float64
-            What converged steps left; not to be changed.
+            State of the last converged step; read only.
         dt : (n,) float64
-            Time of the step [time], 0 for a law without ``duration``.
+            Duration of the step [time], 0 for a law without ``duration``.
         moduli : bool
-            Whether the moduli are asked for.
+            True if the moduli are requested.
         """
 
     @abstractmethod
     def energy(self, strain: Float, state: Float) -> Float:
-        """Return the energy (n,) [energy / volume], stored and lost, of a strain (n, 6) and the state after it."""
+        """Compute the energy (n,) [energy / volume], stored plus dissipated, of a strain (n, 6) and its state."""
 
     @abstractmethod
     def initial_state(self) -> Float:

@@ -17,7 +17,7 @@ from pdpetsc.material.base import HistoryKernels, IsotropicMaterial, remember_no
 class LinearElastic(IsotropicMaterial):
     """Linear elastic material at small strain, ``P = lambda tr(eps) I + 2 mu eps``, ``eps = sym(F - I)``.
 
-    Its tangent is constant: the matrix of a body of this material alone is assembled and factored once.
+    Its tangent is constant: the matrix of a body of this material only is assembled and factored once.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Isotropic elastoplastic laws in principal logarithmic strains: a law is a function of three strains."""
+"""Isotropic elastoplastic laws as functions of three principal logarithmic strains."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from pdpetsc.kernels.logarithmic import Trial, commit, stress, tangent, trial
 from pdpetsc.material.base import Kind
 from pdpetsc.material.stepped import Step, SteppedMaterial, condensed
 
-# Numbers of a history between G and the state of the law: hidden elastic strain and hidden total strain.
+# Number of history variables between G and the state of the law: hidden elastic and hidden total strain.
 KEPT = 2
-# Strains nearer to each other than this share of the spread of all three, or of the largest, count as equal where the
-# difference quotient of their stresses is asked: the stress of a body that yields early turns within tiny strains.
+# Strains are equal in the difference quotient of their stresses if they differ by less than this share of the spread of
+# all three, or of the largest. The tolerance is small because the stress of a body with a small yield stress changes
+# within tiny strains.
 EQUAL, ROUND_OFF = 1e-5, 1e-9
 
 
 class Response(NamedTuple):
-    """What a law answers to trial strains.
+    """Response of a law to trial strains.
 
     Attributes
     ----------
     tau : (n, 3) float64
-        Principal Kirchhoff stresses [stress]; NaN where the law has found none.
+        Principal Kirchhoff stresses [stress]; NaN if the law fails.
     moduli : (n, 3, 3) float64 or None
-        ``d tau_a / d strain_b`` [stress], where asked.
+        ``d tau_a / d strain_b`` [stress], if requested.
     elastic : (n, 3) float64
         Elastic logarithmic strains after the return [-].
     state : (n, n_state) float64
-        What is remembered if the step ends here.
+        State if the step ends here.
     """
 
     tau: Float
@@ -43,19 +44,19 @@ class Response(NamedTuple):
 
 @dataclass(frozen=True)
 class LogarithmicMaterial(SteppedMaterial):
-    r"""A law in principal elastic logarithmic strains, ``F = F_e F_p``, of a solid, a plane body or a bar.
+    r"""A law in principal elastic logarithmic strains, ``F = F_e F_p``, for a solid, a plane body or a bar.
 
-    The law sees the three principal values of ``eps = 1/2 ln(F G G^T F^T)``, ``G = F_p^-1`` that of the last converged
-    step, and answers with principal Kirchhoff stresses along the same directions, as a small-strain law does (Simo,
-    1992). From them ``P = tau F^-T`` and ``A = dP/dF`` follow. In plane stress the strain across the plane is found at
-    every point from ``tau_3 = 0``, in a bar the two lateral ones, and the tangent is condensed with them.
+    The arguments of the law are the three principal values of ``eps = 1/2 ln(F G G^T F^T)``, with ``G = F_p^-1`` of the
+    last converged step. The law returns principal Kirchhoff stresses along the same directions, as a small-strain law
+    does (Simo, 1992). They determine ``P = tau F^-T`` and ``A = dP/dF``. In plane stress the out-of-plane strain at
+    every point follows from ``tau_3 = 0``, in a bar both lateral strains, and the tangent is condensed.
 
-    A law gives ``respond``, ``energy`` and, where it remembers more than one number, ``initial_state``.
+    A law defines ``respond``, ``energy`` and, if its state has more than one number, ``initial_state``.
 
     Parameters
     ----------
     E, nu, plane
-        As for every material with Young's modulus: ``"strain"`` or ``"stress"``.
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"``.
 
     References
     ----------
@@ -64,25 +65,25 @@ class LogarithmicMaterial(SteppedMaterial):
 
     @abstractmethod
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
-        """Return what a step ends with.
+        """Compute the response at the end of a step.
 
         Parameters
         ----------
         strain : (n, 3) float64
             Principal trial strains [-]: elastic ones if nothing flows in the step.
         state : (n, n_state) float64
-            What converged steps left; not to be changed.
+            State of the last converged step; read only.
         dt : (n,) float64
-            Time of the step [time], 0 for a law without ``duration``.
+            Duration of the step [time], 0 for a law without ``duration``.
         moduli : bool
-            Whether the moduli are asked for.
+            True if the moduli are requested.
         """
 
     @abstractmethod
     def energy(self, elastic: Float, state: Float) -> Float:
-        """Return the energy (n,) [energy / volume], stored and lost, of elastic strains (n, 3) and a state.
+        """Compute the energy (n,) [energy / volume], stored plus dissipated, of elastic strains (n, 3) and a state.
 
-        Of an associated law it is that whose derivative the stress is.
+        For an associated law the stress is its derivative.
         """
 
     def initial_state(self) -> Float:
@@ -132,7 +133,7 @@ class LogarithmicMaterial(SteppedMaterial):
 
 
 def shear_factors(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:
-    """Return ``(tau_a - tau_b) / (eps_a - eps_b)`` (n, dim, dim) [stress], its limit where strains are equal."""
+    """Return ``(tau_a - tau_b) / (eps_a - eps_b)`` (n, dim, dim) [stress], or its limit for equal strains."""
     shear = np.zeros((len(strain), dim, dim))
     nearly = np.maximum(EQUAL * np.ptp(strain, axis=1), ROUND_OFF * np.abs(strain).max(axis=1))
     for a in range(dim):

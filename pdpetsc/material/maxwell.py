@@ -18,13 +18,13 @@ from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, Tenso
 class Maxwell(LagrangianMaterial):
     r"""Generalised Maxwell material in the Lagrangian logarithmic strain E; changes of volume are elastic.
 
-    A Hencky spring and any number of branches, a spring and a dashpot each, with the deviator e of E::
+    A Hencky spring in parallel with branches of a spring and a dashpot each, with the deviator e of E::
 
         T = K tr(E) I + 2 mu e + sum_k q_k,   dq_k/dt + q_k / times_k = 2 shear_k de/dt
 
-    which is integrated exactly for a strain that grows evenly in a step: a strain that is held relaxes as
-    ``sum_k exp(-t / times_k)`` in steps of any size. E and nu are those of slow loading, with which zero-energy
-    controls are scaled; fast loading has the shear modulus ``mu + sum_k shear_k``.
+    It is integrated exactly for a constant strain rate in a step: at constant strain the stress relaxes as
+    ``sum_k exp(-t / times_k)`` for any step size. E and nu are those of slow loading, which also scale zero-energy
+    controls. Fast loading has the shear modulus ``mu + sum_k shear_k``.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Maxwell(LagrangianMaterial):
     times : sequence of float
         Relaxation time of each branch [time], positive.
     duration : float
-        Time from step time 0 to 1 [time], positive: step times order load steps and are no times.
+        Time from load parameter 0 to 1 [time], positive.
 
     Raises
     ------
@@ -44,8 +44,8 @@ class Maxwell(LagrangianMaterial):
 
     Notes
     -----
-    The energy is elastic energy and the integral of the branch stresses over a step whose derivative the stress is: in
-    steps much shorter than the relaxation times, stored and lost energy together.
+    The energy is elastic energy plus the integral of the branch stresses over a step; the stress is its derivative. In
+    steps much shorter than the relaxation times it is stored plus dissipated energy.
 
     References
     ----------
@@ -82,8 +82,8 @@ class Maxwell(LagrangianMaterial):
     def spread(self, step: float) -> float:
         """Return ``sum_k shear_k ((1 - exp(-x_k)) / x_k - exp(-x_k)) / (mu + sum_k shear_k)``, x_k = dt / times_k.
 
-        The deviator of a strain that grows evenly in a step leaves the first part of each branch stress at its end, one
-        that jumps at the start of the step the second.
+        The first term is the branch stress at the end of a step with constant strain rate, the second that after a jump
+        at the start of the step.
         """
         x = step * self.duration / np.array(self.times)
         shear = np.array(self.shear)
@@ -111,7 +111,7 @@ class Maxwell(LagrangianMaterial):
         return TensorResponse(T, found, after)
 
     def energy(self, strain: Float, state: Float) -> Float:
-        """Return the energy of the spring and what the branches have taken up."""
+        """Return the energy of the spring plus that of the branches."""
         mu, K = self.shear_and_bulk
         volume = strain[:, :3].sum(axis=1)
         return np.asarray(0.5 * K * volume * volume + mu * (state[:, 1:7] ** 2).sum(axis=1) + state[:, 0])

@@ -87,7 +87,7 @@ class Yeoh(EnergyMaterial):
 class Ogden(EnergyMaterial):
     """Ogden's rubber, ``psi = sum_p mu_p/alpha_p (l1bar^alpha_p + l2bar^alpha_p + l3bar^alpha_p - 3)`` + volume.
 
-    The part of the volume is ``kappa/4 (J^2 - 1 - 2 ln J)``; the shear modulus at small strain is
+    The volumetric part is ``kappa/4 (J^2 - 1 - 2 ln J)``; the shear modulus at small strain is
     ``1/2 sum_p mu_p alpha_p``, the bulk modulus kappa.
 
     Parameters
@@ -104,7 +104,7 @@ class Ogden(EnergyMaterial):
     Raises
     ------
     CaseError
-        There are no terms, or not as many exponents as moduli, or an exponent is zero.
+        There are no terms, the numbers of exponents and moduli differ, or an exponent is zero.
 
     References
     ----------
@@ -139,9 +139,9 @@ class Ogden(EnergyMaterial):
 class HolzapfelGasserOgden(EnergyMaterial):
     """Fibres with dispersed directions in a soft matrix, as in walls of arteries.
 
-    ``psi = c/2 (I1bar - 3) + k1/(2 k2) sum_i (exp(k2 e_i^2) - 1) + kappa/4 (J^2 - 1 - 2 ln J)`` with the strain
-    ``e_i = < dispersion (I1bar - 3) + (1 - 3 dispersion) (I4bar_i - 1) >`` of each family of fibres, its positive part:
-    fibres bear no compression.
+    ``psi = c/2 (I1bar - 3) + k1/(2 k2) sum_i (exp(k2 e_i^2) - 1) + kappa/4 (J^2 - 1 - 2 ln J)`` with the strain ``e_i =
+    < dispersion (I1bar - 3) + (1 - 3 dispersion) (I4bar_i - 1) >`` of each family of fibres, its positive part: fibres
+    carry no compression.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class HolzapfelGasserOgden(EnergyMaterial):
     k1 : float
         Stiffness of the fibres [stress], not negative.
     k2 : float
-        How fast they stiffen [-], positive.
+        Exponent of their stiffening [-], positive.
     kappa : float
         Bulk modulus [stress].
     fibre : sequence of float or callable

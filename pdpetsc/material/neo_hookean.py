@@ -12,7 +12,7 @@ from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.principal import inverse
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
-# Largest number of Newton iterations for the lateral stretch, and the last change of its logarithm that they end with.
+# Largest number of Newton iterations for the lateral stretch, and tolerance of its logarithm.
 NEWTON_STEPS, NEARLY = 60, 1e-9
 
 
@@ -20,8 +20,8 @@ NEWTON_STEPS, NEARLY = 60, 1e-9
 class NeoHookean(ElasticMaterial):
     r"""Neo-Hookean material, ``psi = mu / 2 (I_1 - 3 - 2 ln J) + lambda / 2 (ln J)^2``.
 
-    F does not show the lateral stretches ``b``, one in plane stress and two equal ones in a bar: zero lateral stress,
-    ``mu (b^2 - 1) + lambda (ln det F + h ln b) = 0`` with ``h`` their number, gives them; the tangent is condensed::
+    F does not contain the lateral stretches ``b``: h = 1 in plane stress, h = 2 equal stretches in a bar. They follow
+    from zero lateral stress, ``mu (b^2 - 1) + lambda (ln det F + h ln b) = 0``, and the tangent is condensed::
 
         P = mu (F - F^-T) + lambda ln J F^-T,                 J = det F b^h
         A = mu I + (mu - lambda ln J) F^-T (x) F^-1 + lambda_c F^-T (x) F^-T
@@ -69,8 +69,8 @@ class NeoHookean(ElasticMaterial):
 def lateral_stretch(lam, mu, hidden, log_det):  # type: ignore[no-untyped-def]
     """Solve ``mu (b^2 - 1) + lambda (log_det + hidden ln b) = 0`` for ``b`` by Newton's method in ``ln b``.
 
-    The function of ``ln b`` is increasing and convex where lambda is not negative, so Newton converges from any start.
-    NaN where it does not: with a negative Poisson's ratio a body that is pressed enough has no such stretch.
+    The function of ``ln b`` is increasing and convex if lambda is not negative, so Newton converges from any start. NaN
+    if it does not: with a negative Poisson's ratio there is no such stretch in strong compression.
     """
     if hidden == 0:
         return 1.0

@@ -26,7 +26,7 @@ class PointLaws:
         self.dim = dim
 
     def stress(self, F: Float, only: Mask | None = None) -> Float:
-        """Return ``P_p`` (n_points, dim, dim) [stress]; that of points which are not in ``only`` does not matter."""
+        """Return ``P_p`` (n_points, dim, dim) [stress]; values at points outside ``only`` are undefined."""
         P = _room(only, F.shape)
         for law in self.materials:
             law.stress(F, P, only)
@@ -47,7 +47,7 @@ class PointLaws:
         return psi
 
     def energy_by_strain(self, F: Float) -> Float:
-        """Return the derivative of ``psi_p`` by the strain without stress at constant F (n_points, 3, 3)."""
+        """Return the derivative of ``psi_p`` by the eigenstrain at constant F (n_points, 3, 3)."""
         S = np.zeros((len(F), 3, 3))
         for law in self.materials:
             S[law.points] = law.energy_by_strain(F[law.points])
@@ -75,14 +75,14 @@ class PointLaws:
         return sigma
 
     def out_of_plane(self, F: Float) -> tuple[Float, Float, Float]:
-        """Return stretch, P and Cauchy stress in one direction across a line or plane body (n_points,)."""
+        """Return stretch, P and Cauchy stress in one hidden direction of a bar or plane body (n_points,)."""
         stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
         for law in self.materials:
             part, linear = F[law.points], law.material.small_strain
             across = law.hidden_stretch(part)
             if self.dim > 1:
                 stretch[law.points] = across
-            else:  # of two equal ones the product, which to first order is one plus the sum of their strains
+            else:  # product of two equal stretches, to first order 1 plus the sum of their strains
                 stretch[law.points] = 1.0 + 0.5 * (across - 1.0) if linear else np.sqrt(across)
             P[law.points] = law.out_of_plane_stress(part)
             current = 1.0 if linear else stretch[law.points] / (np.linalg.det(part) * across)
@@ -90,7 +90,7 @@ class PointLaws:
         return stretch, P, sigma
 
     def defined(self, F: Float, lost: Mask | None = None) -> bool:
-        """Return True if all laws have a stress, but for points that are lost (n_points,)."""
+        """Return True if all laws have a stress, ignoring lost points (n_points,)."""
         return all(law.defined(F, lost) for law in self.materials)
 
     def plastic_growth(self, F: Float) -> Float:
@@ -101,11 +101,11 @@ class PointLaws:
         return growth
 
     def commit(self, F: Float) -> None:
-        """Make the state at F the one that the next step starts from."""
+        """Commit the state at F as the start of the next step."""
         for law in self.materials:
             law.commit(F)
 
 
 def _room(only: Mask | None, shape: tuple[int, ...]) -> Float:
-    """Return an array for results: of zeros if not all points are computed."""
+    """Return an array for results, zeros if only some points are computed."""
     return np.empty(shape) if only is None else np.zeros(shape)

@@ -1,7 +1,7 @@
-"""Rate dependence: how much more stress flow takes, the faster it is.
+"""Rate dependence: flow resistance as a function of the rate of plastic strain.
 
-A law is a declared object; one of your own derives from ``RateLaw``. It names the ``duration`` of the load, the time
-from step time 0 to 1, because step times order load steps and are no times.
+A law is a declared object; derive from ``RateLaw`` for a new law. It declares the ``duration`` of the load, the time
+from load parameter 0 to 1.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared, Finite, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
-# Points of the quadrature for the energy of a law whose integral has no closed form.
+# Quadrature points for the energy of a law without closed integral.
 QUADRATURE = 40
 
 
 @dataclass(frozen=True)
 class RateLaw(Declared, ABC):
-    """What stress flows at a rate, given the yield stress of slow flow.
+    """Flow stress as a function of rate and yield stress of slow flow.
 
     Parameters
     ----------
     duration : float
-        Time from step time 0 to 1 [time], positive.
+        Time from load parameter 0 to 1 [time], positive.
     """
 
     duration: Positive
 
     @abstractmethod
     def resistance(self, slow: Float, rate: Float) -> tuple[Float, Float, Float]:
-        """Return the stress at which plastic strain grows at a rate, and its derivatives by both arguments.
+        """Compute the flow stress at a rate, and its derivatives by both arguments.
 
         Parameters
         ----------
         slow : (n,) float64
             Yield stress of slow flow, with hardening [stress].
         rate : (n,) float64
-            Rate of the accumulated plastic strain [1 / time], from 0 on. The stress does not fall with it.
+            Rate of the accumulated plastic strain [1 / time], not negative. The flow stress must not decrease with it.
         """
 
     @abstractmethod
     def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
-        """Return the integral of the resistance over a growth of plastic strain in a step (n,) [energy / volume].
+        """Compute the integral of the flow stress over a growth of plastic strain in a step (n,) [energy / volume].
 
         Parameters
         ----------
@@ -57,12 +57,12 @@ class RateLaw(Declared, ABC):
         slow_work : (n,) float64
             Integral of ``slow`` from 0 to ``growth``.
         growth, dt : (n,) float64
-            Growth of the plastic strain in the step [-] and its time [time]; the rate is their quotient.
+            Growth of the plastic strain in the step [-] and duration of the step [time]; the rate is their quotient.
         """
 
     @property
     def fixed_temperature(self) -> float | None:
-        """Return the temperature that it takes the body to have, None where it takes none."""
+        """Return the constant temperature of the law, None if it has none."""
         return None
 
 
@@ -73,13 +73,13 @@ class Perzyna(RateLaw):
     Parameters
     ----------
     duration : float
-        Time from step time 0 to 1 [time].
+        Time from load parameter 0 to 1 [time].
     rate_0 : float
         Rate at which the overstress is ``drag`` [1 / time].
     drag : float
         Overstress at that rate [stress].
     exponent : float
-        From 1 on [-]; for 1 ``drag / rate_0`` is a viscosity.
+        Exponent, at least 1 [-]; for 1 ``drag / rate_0`` is a viscosity.
 
     References
     ----------
@@ -110,7 +110,7 @@ class Perzyna(RateLaw):
         return slow + over, np.ones_like(over), slope
 
     def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
-        """Return the work of slow flow and ``exponent / (exponent + 1)`` of that of the overstress."""
+        """Return the work of slow flow plus ``exponent / (exponent + 1)`` times that of the overstress."""
         over = self.drag * (growth / (self.rate_0 * dt)) ** (1.0 / self.exponent)
         return np.asarray(slow_work + over * growth * self.exponent / (self.exponent + 1.0))
 
@@ -120,19 +120,19 @@ class JohnsonCook(RateLaw):
     """Johnson and Cook's factors: ``y (1 + C ln(rate / rate_0)) (1 - T*^m)``, the first one from ``rate_0`` on.
 
     ``T* = (temperature - room) / (melting - room)``, 0 below ``room``; the temperature does not change with the flow.
-    Of a body with a temperature the law is given for each: ``pd.Thermal(steel(293.0), ..., law=steel)`` with a function
-    ``steel`` of the temperature. Their hardening ``B alpha^n`` is ``pd.hardening.Power(B, n)``.
+    For a body with a temperature field declare ``pd.Thermal(steel(293.0), ..., law=steel)`` with a function ``steel``
+    of the temperature. The hardening ``B alpha^n`` is ``pd.hardening.Power(B, n)``.
 
     Parameters
     ----------
     duration : float
-        Time from step time 0 to 1 [time].
+        Time from load parameter 0 to 1 [time].
     C : float
         Logarithmic sensitivity [-], not negative.
     rate_0 : float
-        Rate of the test that the yield stress is from [1 / time].
+        Rate of the test of the yield stress [1 / time].
     temperature, room, melting : float
-        Temperature of the body, of that test, and of melting [temperature].
+        Temperatures of the body, of that test, and of melting [temperature].
     m : float
         Exponent of the temperature [-].
 
@@ -188,7 +188,7 @@ class JohnsonCook(RateLaw):
         return slow * factor, factor, slope
 
     def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
-        """Return the work of slow flow, and that of the logarithm beyond ``rate_0``, both with the factor of heat.
+        """Return the work of slow flow plus that of the logarithm above ``rate_0``, times the temperature factor.
 
         The latter is ``C`` times the integral of ``y ln(s / s_0)`` from ``s_0 = rate_0 dt`` to the growth.
         """
@@ -203,6 +203,6 @@ class JohnsonCook(RateLaw):
 
 @lru_cache
 def _gauss() -> tuple[Float, Float]:
-    """Return Gauss's points and weights on [0, 1]."""
+    """Return Gauss points and weights on [0, 1]."""
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)  # type: ignore[no-untyped-call]
     return 0.5 * (x + 1.0), 0.5 * w

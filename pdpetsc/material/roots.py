@@ -1,4 +1,4 @@
-"""Roots of many functions of one number at once: the local iterations of laws with history."""
+"""Roots of many scalar functions at once, for the local iterations of laws with history."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 
-# Largest number of steps; each at least halves what is left of the interval where Newton's leaves it.
+# Largest number of steps. A step is a bisection if the Newton step leaves the interval.
 STEPS = 200
-# A function is zero below this share of its scale; one that has stalled counts below the second.
+# Relative tolerance of a zero, and the larger tolerance of a stalled iteration.
 ZERO, STALLED = 4.0 * float(np.finfo(float).eps), 1e-11
-# A rising function whose value is below this share of its scale vanishes after one more step of Newton's method.
+# Relative value of a rising function after which one more Newton step suffices.
 NEAR = 1e-9
 
 Function = Callable[[Float, GlobalIndex], tuple[Float, Float]]
@@ -20,23 +20,23 @@ Scaled = Callable[[Float, GlobalIndex], tuple[Float, Float, Float]]
 
 
 def falling_roots(function: Function, start: Float, high: Float, scale: Float) -> Float:
-    """Return where falling functions vanish, by Newton's method inside of an interval that shrinks.
+    """Compute the roots of falling functions by Newton's method in a shrinking interval.
 
     Parameters
     ----------
     function : callable
         ``function(x, rows)`` returns values and slopes of the functions ``rows`` (int64) at x, one for each.
     start : (n,) float64
-        Where to begin, within the interval.
+        Initial values, within the interval.
     high : (n,) float64
         Upper end of the interval from 0, where the functions are not positive.
     scale : (n,) float64
-        What a value is compared with.
+        Scales of the values.
 
     Returns
     -------
     (n,) float64
-        The roots; NaN where none was found.
+        The roots; NaN if the iteration fails.
     """
     x, low, high = np.array(start, dtype=float), np.zeros(len(start)), np.array(high, dtype=float)
     rows = np.arange(len(x))
@@ -61,21 +61,21 @@ def falling_roots(function: Function, start: Float, high: Float, scale: Float) -
 
 
 def rising_roots(function: Scaled, start: Float, steepest: float) -> Float:
-    """Return where rising functions vanish, by Newton's method; every value tried bounds the root.
+    """Compute the roots of rising functions by Newton's method; every iterate bounds the root.
 
     Parameters
     ----------
     function : callable
         ``function(x, rows)`` returns values, slopes and scales of the functions ``rows`` (int64) at x.
     start : (n,) float64
-        Where to begin.
+        Initial values.
     steepest : float
-        About the largest slope, for the step where Newton's is of no use and one bound is missing.
+        Approximate largest slope, for a step if the Newton step is useless and a bound is missing.
 
     Returns
     -------
     (n,) float64
-        The roots; NaN where none was found.
+        The roots; NaN if the iteration fails.
     """
     x, low, high = np.array(start, dtype=float), np.full(len(start), -np.inf), np.full(len(start), np.inf)
     rows = np.arange(len(x))
@@ -92,7 +92,7 @@ def rising_roots(function: Scaled, start: Float, steepest: float) -> Float:
         left = value != 0.0
         moved = np.where(inside, moved, np.where(np.isfinite(middle), middle, shortest))
         x[rows[left]] = moved[left]
-        # A value that is no number leaves none in x.
+        # A NaN value makes x NaN.
         rows = rows[left & ~near & np.isfinite(value)]
         if not len(rows):
             return x

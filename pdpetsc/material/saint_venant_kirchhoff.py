@@ -48,16 +48,16 @@ class SaintVenantKirchhoff(ElasticMaterial):
         return np.asarray(0.5 * (np.einsum("pij,pij->p", F, F) - F.shape[-1]))
 
     def thickness_stretch(self, F: Float) -> Float:
-        """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, twice for a bar; NaN where there is none."""
+        """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, squared for a bar; NaN if it does not exist."""
         square = self._hidden_square(F)
         with np.errstate(invalid="ignore"):
             stretch: Float = np.where(square > 0.0, square, np.nan) if F.shape[-1] == 1 else np.sqrt(square)
         return stretch
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
-        """Return whether there is a hidden stretch without stress at the points ``select``.
+        """Return True if a stress-free hidden stretch exists at the points ``select``.
 
-        The lateral strain falls with the square of the stretch, to that of a thickness of zero at a finite one.
+        The lateral strain decreases with the square of the stretch; the thickness becomes zero at a finite stretch.
         """
         if self.kind(F.shape[-1]) in ("solid", "strain"):
             return True

@@ -1,4 +1,4 @@
-"""Which part of an energy a crack takes, and which it keeps when it closes."""
+"""Splits of an energy into the part that damage reduces and the part that a closed crack retains."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from pdpetsc.material.closed import ClosedPart, GreenClosed, LogarithmicClosed, 
 
 @dataclass(frozen=True)
 class Split(Declared, ABC):
-    """How the energy of a point divides into what a crack takes and what it keeps when it closes.
+    """Split of the energy of a point into open part and closed part.
 
-    It is made for an isotropic energy ``lambda / 2 (tr eps)^2 + mu eps : eps`` of the strain of the material. A plane
-    body without stress across it counts with its strains in the plane and the moduli of plane stress.
+    It applies to an isotropic energy ``lambda / 2 (tr eps)^2 + mu eps : eps`` of the strain of the material. In plane
+    stress it uses the in-plane strains and the moduli of plane stress.
     """
 
-    # Whether it reads more of the strain than the dilatation: then only materials with such an energy can have it, and
-    # points that share dilatations cannot.
+    # True if it depends on more than the dilatation. It then requires materials with such an energy, and no shared
+    # dilatations.
     exact: ClassVar[bool] = True
 
     def closed_part(self, material: Material) -> ClosedPart | None:
-        """Return the law of what a closed crack keeps, None for nothing.
+        """Return the law of the closed part, None if it is zero.
 
         Raises
         ------
@@ -53,12 +53,12 @@ class Split(Declared, ABC):
 
     @abstractmethod
     def closed(self, strain: Float, lam: float, mu: float) -> Principal:
-        """Return the energy of the closed crack in principal strains (n, k) [-], for moduli [stress]."""
+        """Compute the closed part for principal strains (n, k) [-] and moduli [stress]."""
 
 
 @dataclass(frozen=True)
 class Whole(Split):
-    """Nothing is kept: a crack that closes has no stress either.
+    """No closed part: a closed crack has no stress.
 
     Examples
     --------
@@ -80,9 +80,9 @@ class Whole(Split):
 
 @dataclass(frozen=True)
 class Volumetric(Split):
-    """``K / 2 <tr eps>-^2`` is kept: the pressure of volumes that shrink, and no shear.
+    """Closed part ``K / 2 <tr eps>-^2``: pressure in compression, and no shear.
 
-    The trace is that of the logarithmic strain in materials that have none of their own.
+    For materials without own strain measure the trace is that of the logarithmic strain.
 
     References
     ----------
@@ -107,7 +107,7 @@ class Volumetric(Split):
 
 @dataclass(frozen=True)
 class Spectral(Split):
-    """``lambda / 2 <tr eps>-^2 + mu sum <eps_a>-^2`` is kept, of the negative principal strains.
+    """Closed part ``lambda / 2 <tr eps>-^2 + mu sum <eps_a>-^2`` of the negative principal strains.
 
     References
     ----------
@@ -131,9 +131,9 @@ class Spectral(Split):
 
 @dataclass(frozen=True)
 class NoTension(Split):
-    """What a material without tensile strength stores is kept: ``min psi(eps - p)`` over strains p of open cracks.
+    """Closed part of a no-tension material: ``min psi(eps - p)`` over strains p of open cracks.
 
-    Cracks open along the largest principal strains, as many as it takes until no principal stress is tensile.
+    Cracks open along the largest principal strains until no principal stress is tensile.
 
     References
     ----------
@@ -146,7 +146,7 @@ class NoTension(Split):
     """
 
     def closed(self, strain: Float, lam: float, mu: float) -> Principal:
-        """Return the energy of the compressive stresses that are left."""
+        """Return the energy of the remaining compressive stresses."""
         n, k = strain.shape
         order = np.argsort(-strain, axis=1, kind="stable")
         eps = np.take_along_axis(strain, order, axis=1)
@@ -154,7 +154,7 @@ class NoTension(Split):
         found = np.zeros(n, dtype=bool)
         stiff = lam
         for free in range(k):
-            # With so many cracks open the others have the stiffness of a body whose stress vanishes across them.
+            # The other directions have the stiffness of a body with zero stress across the open cracks.
             left = eps[:, free:]
             tau = stiff * left.sum(axis=1)[:, None] + 2.0 * mu * left
             here = ~found & (tau[:, 0] <= 0.0)

@@ -1,4 +1,4 @@
-"""Laws with history that are written for many points of a solid at once: what their kinematics have in common."""
+"""Common kinematics of laws with history that are evaluated for many points at once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.material.base import HistoryKernels, HistoryMaterial, Kind
 from pdpetsc.material.roots import rising_roots
 
-# Points that are computed together: their arrays stay in the cache.
+# Number of points of a block, whose arrays fit the cache.
 BLOCK = 4096
 
 
@@ -29,9 +29,9 @@ class Step(NamedTuple):
     history : (n, n_history) float64
         Their history, which ``commit`` overwrites.
     kind : {"solid", "strain", "stress", "bar"}
-        What the body shows of the solid.
+        Kind of body.
     frame, response
-        Trial strains, as ``frame.strain``, with the axes that the kinematics need; the response of the law to them.
+        Trial strains ``frame.strain`` with their axes; the response of the law to them.
     """
 
     F: Float
@@ -44,17 +44,16 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class SteppedMaterial(HistoryMaterial):
-    """A law that answers to the strains of a solid at the end of a step, in a solid, a plane body or a bar.
+    """A law of the strains of a solid at the end of a step, for a solid, a plane body or a bar.
 
-    In plane stress the strain across the plane is found at every point from no stress there, in a bar the two lateral
-    ones.
+    In plane stress the out-of-plane strain, in a bar both lateral strains, follow from zero stress at every point.
     """
 
     may_fail: ClassVar[bool] = True
 
     @abstractmethod
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Any:
-        """Return what a step ends with: a tuple that begins with stresses and moduli, whose third row is across."""
+        """Compute the response at the end of a step: stresses, moduli and more; the third row is out of plane."""
 
     # Kinematics: from F to strains, from the response of the law to P, A, energy and history.
 
@@ -80,7 +79,7 @@ class SteppedMaterial(HistoryMaterial):
 
     @abstractmethod
     def _hidden_strain(self, step: Step, dim: int) -> Float:
-        """Return the sum of the logarithmic strains that F does not show (n,) [-]."""
+        """Return the sum of the hidden logarithmic strains (n,) [-]."""
 
     @property
     def shear_and_bulk(self) -> tuple[float, float]:
@@ -88,11 +87,11 @@ class SteppedMaterial(HistoryMaterial):
         return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))
 
     def constants(self, dim: int) -> Float:
-        """Return the time of the step, which is set for laws with a ``duration``."""
+        """Return the duration of the step, which is set for laws with a ``duration``."""
         return np.zeros(1)
 
     def thickness_stretch(self, F: Float) -> Float:
-        """Return the hidden stretches of the elastic law; ``hidden_stretch`` has those of the law itself."""
+        """Return the hidden stretches of the elastic law; for those of the law see ``hidden_stretch``."""
         stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
         return stretch
 
@@ -119,7 +118,7 @@ class SteppedMaterial(HistoryMaterial):
         return HistoryKernels(stress, tangent, energy, commit)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
+        """Return the out-of-plane stretch in plane stress, the product of both lateral ones in 1D, else 1 (n,) [-]."""
         dim, kind = F.shape[-1], self.kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
@@ -128,7 +127,7 @@ class SteppedMaterial(HistoryMaterial):
         return across
 
     def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return the stress across the plane after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
+        """Return the out-of-plane stress after the return (n,) [stress] in plane strain; ``F_zz`` is 1."""
         P = np.empty(len(F))
         for step in self._steps(F, np.arange(len(F)), dt, history, "strain"):
             P[step.points] = step.response[0][:, 2]
@@ -137,7 +136,7 @@ class SteppedMaterial(HistoryMaterial):
     def _steps(
         self, F: Float, select: GlobalIndex, dt: float, history: Float, kind: Kind, moduli: bool = False
     ) -> Iterator[Step]:
-        """Yield blocks of points of F at the end of a step of the time ``dt``."""
+        """Yield blocks of points of F at the end of a step of duration ``dt``."""
         for first in range(0, len(select), BLOCK):
             points, kept = select[first : first + BLOCK], history[first : first + BLOCK]
             frame = self._trial(F, points, kept, kind)
@@ -147,10 +146,10 @@ class SteppedMaterial(HistoryMaterial):
             yield Step(F, points, kept, kind, frame, response)
 
     def free_across(self, strain: Float, state: Float, dt: Float, kind: Kind, moduli: bool) -> Any:
-        """Return the response where hidden strains, written into ``strain`` (n, ...), leave no stress across the body.
+        """Compute the response for zero hidden stress; write the hidden strains to ``strain`` (n, ...).
 
-        The stress grows with the strain, so that every strain tried bounds the one that is looked for. The first three
-        columns of strains and stresses are 11, 22 and 33, or principal values.
+        The stress increases with the strain, so every iterate bounds the solution. The first three columns of strains
+        and stresses are 11, 22 and 33, or principal values.
         """
         mu, K = self.shear_and_bulk
         lam = K - 2.0 * mu / 3.0
@@ -168,7 +167,7 @@ class SteppedMaterial(HistoryMaterial):
 
 
 def condensed(moduli: Float, kind: Kind) -> Float:
-    """Return the moduli of a body without stress across it (n, k, k), whose hidden strains follow the others."""
+    """Return the moduli condensed for zero hidden stress (n, k, k)."""
     if kind == "stress":
         return np.asarray(moduli - moduli[:, :, 2:3] * moduli[:, 2:3, :] / moduli[:, 2:3, 2:3])
     if kind == "bar":

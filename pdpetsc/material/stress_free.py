@@ -1,4 +1,4 @@
-"""Maps between a body with a stress-free deformation and the laws of its materials."""
+"""Maps between deformation gradients with a stress-free part and material laws."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pdpetsc.kernels.expanded import pull_back_kernel, pull_back_stress_kernel
 
 
 class Unexpanded:
-    """No stress-free deformation: laws read F and write their results in place.
+    """Map without stress-free deformation: laws read F and write their results in place.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Unexpanded:
         self.points, self.dim, self.multiplier = points, dim, multiplier
 
     def elastic(self, F: Float) -> tuple[Float, GlobalIndex]:
-        """Return the deformation gradients that laws read, from F of all points, and the rows of the points in them."""
+        """Return the deformation gradients for the laws, from F of all points, and the rows of the points in them."""
         return F, self.points
 
     def elastic_part(self, F: Float) -> Float:
@@ -35,7 +35,7 @@ class Unexpanded:
         return F
 
     def room(self, result: Float) -> Float:
-        """Return the array in which laws write, for a result of all points."""
+        """Return the array to which laws write, for a result of all points."""
         return result
 
     def stress(self, elastic: Float, P: Float) -> None:
@@ -60,9 +60,9 @@ class Unexpanded:
 
 
 class StressFreeStrain(Unexpanded):
-    """A strain without stress of linear laws, ``P = P_e(F - eps)``.
+    """Eigenstrain of linear laws, ``P = P_e(F - eps)``.
 
-    A body in plane strain is a solid with ``F_zz = 1`` here: its elastic part is strained across the plane.
+    A body in plane strain is treated as a solid with ``F_zz = 1``: its elastic part has an out-of-plane strain.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ class StressFreeStrain(Unexpanded):
         self.inside = inside
         self._rows = np.arange(len(points))
         self._strain = np.ascontiguousarray(strain[:, :inside, :inside])
-        # Stretches of the directions that the body does not show.
+        # Stretches of the hidden directions.
         self._across = 1.0 + strain[:, range(dim, 3), range(dim, 3)]
         self.stretch = np.eye(dim)[None]
 
     def elastic(self, F: Float) -> tuple[Float, GlobalIndex]:
-        """Return the elastic part of F at the points of the material alone."""
+        """Return the elastic part of F at the points of the material."""
         return self.elastic_part(F[self.points]), self._rows
 
     def elastic_part(self, F: Float) -> Float:
@@ -96,7 +96,7 @@ class StressFreeStrain(Unexpanded):
         return np.ascontiguousarray(self._of_solid(F) - self._strain)
 
     def room(self, result: Float) -> Float:
-        """Return an array of the points of the material alone."""
+        """Return an array for the points of the material."""
         return np.empty((len(self.points), *(self.inside,) * (result.ndim - 1)))
 
     def stress(self, elastic: Float, P: Float) -> None:
@@ -158,8 +158,8 @@ class StressFreeStretch(StressFreeStrain):
     """A stress-free deformation ``F_theta = I + eps`` of laws of finite strain, ``F_e = F F_theta^-1``.
 
     ``P = J_theta P_e(F_e) F_theta^-T``, ``A_imkn = J_theta (A_e)_iakb (F_theta^-1)_ma (F_theta^-1)_nb``, and the energy
-    per undeformed volume is ``J_theta psi_e(F_e)``. ``J_theta`` is that of space: what a plane body or a bar does not
-    show expands as well.
+    per undeformed volume is ``J_theta psi_e(F_e)``. ``J_theta`` is the determinant in 3D: hidden directions expand as
+    well.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class StressFreeStretch(StressFreeStrain):
     def energy_by_strain(self, F_e: Float, P: Float, psi: Float) -> Float:
         """Return the derivative of the energy density by eps at constant F (n, 3, 3) [stress].
 
-        ``S = psi F_theta^-1 - F_e^T P``; across a plane body in plane stress and a bar the first part alone.
+        ``S = psi F_theta^-1 - F_e^T P``; in the hidden directions of plane stress and of a bar only the first term.
         """
         inside, S = self.inside, np.zeros((len(P), 3, 3))
         S[:, :inside, :inside] = psi[:, None, None] * self._inverse - np.einsum("pki,pkj->pij", F_e, P)

@@ -11,9 +11,9 @@ from pdpetsc.arrays import Float
 # Indices of the components, and the component of each pair of indices.
 FIRST, SECOND = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
 PLACE = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-# With these weights scalar products of vectors are those of tensors.
+# Weights for which scalar products of vectors equal those of tensors.
 WEIGHT = np.array([1.0, 1.0, 1.0, *3 * [math.sqrt(2.0)]])
-# The strains that bodies of each dimension show.
+# Strain components of bodies by dimension.
 SHOWN = {1: [0], 2: [0, 1, 5], 3: [0, 1, 2, 3, 4, 5]}
 
 
@@ -39,10 +39,10 @@ def stiffness(matrix: Float, dim: int = 3) -> Float:
 
 
 def stiffness_of_body(solids: Float, dim: int, plane: str) -> Float:
-    """Return the stiffness of a body of ``dim`` dimensions, then what gives the answer across it (n, dim^4 + dim^2).
+    """Compute stiffness and out-of-plane coefficients of a body of ``dim`` dimensions (n, dim^4 + dim^2).
 
-    That is the stress across the plane in plane strain, the strain there in plane stress, and the sum of both lateral
-    strains of a bar. No other strains are free than those that make all hidden stresses vanish.
+    The coefficients determine the out-of-plane stress in plane strain, the out-of-plane strain in plane stress, and the
+    sum of both lateral strains of a bar. Free hidden strains make all hidden stresses zero.
     """
     C = matrix(solids)
     here = SHOWN[dim]
@@ -55,12 +55,12 @@ def stiffness_of_body(solids: Float, dim: int, plane: str) -> Float:
         reduced = np.linalg.inv(S[:, here][:, :, here])
         lateral = S[:, 2, here] if dim == 2 else S[:, 1, here] + S[:, 2, here]
         across = np.einsum("pa,pab->pb", lateral, reduced)
-    # The place in the vector of each entry of a symmetric tensor of the body.
+    # Index in the vector of each entry of a symmetric tensor of the body.
     flat = np.searchsorted(here, PLACE[:dim, :dim]).ravel()
     moduli = reduced[:, flat][:, :, flat].reshape(len(C), dim**4)
     return np.concatenate([moduli, across[:, flat]], axis=1)
 
 
 def moduli_of_body(solid: Float, dim: int, plane: str) -> Float:
-    """Return the moduli (dim, dim, dim, dim) that a body of ``dim`` dimensions shows of a solid (3, 3, 3, 3)."""
+    """Return the moduli (dim, dim, dim, dim) of a body of ``dim`` dimensions from those of a solid (3, 3, 3, 3)."""
     return stiffness_of_body(solid[None], dim, plane)[0, : dim**4].reshape((dim,) * 4)

@@ -1,4 +1,4 @@
-"""What a material does with temperature."""
+"""Dependence of materials on temperature."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from pdpetsc.material.graded import Graded
 
 # A number for all directions, three for the axes, or a function of temperatures (n,) that returns (n,) or (n, 3).
 Expansion: TypeAlias = Finite | Sequence[Finite] | Callable[[Float], Float]
-# Columns of an orientation are unit vectors up to this.
+# Tolerance of the unit columns of an orientation.
 NEARLY = 1e-9
 
 
 @dataclass(frozen=True)
 class Thermal(Declared):
-    """A material that expands with temperature, whose moduli may depend on it, and that may conduct heat.
+    """A material with thermal expansion, temperature-dependent moduli and heat conduction.
 
-    Its stress-free deformation is ``F_theta = I + alpha (T - T_ref)``. At finite strain the law sees what is left of
-    the deformation gradient, ``F_e = F F_theta^-1``, and ``P = J_theta P_e(F_e) F_theta^-T``; the linear material has
-    the strain less ``alpha (T - T_ref)``. The deformation across a plane body or a bar counts: in plane strain it is
-    held, in plane stress and in a bar it is free.
+    Its stress-free deformation is ``F_theta = I + alpha (T - T_ref)``. At finite strain the law is evaluated at the
+    elastic part ``F_e = F F_theta^-1``, and ``P = J_theta P_e(F_e) F_theta^-T``. Linear materials use the strain minus
+    ``alpha (T - T_ref)``. The out-of-plane expansion is held in plane strain, and free in plane stress and in a bar.
 
     Parameters
     ----------
@@ -36,29 +35,30 @@ class Thermal(Declared):
         The law at the stress-free temperature.
     expansion : float, sequence of three float, or callable
         ``alpha``, the mean coefficient of expansion from ``T_ref`` to T [1 / temperature]: one for all directions, one
-        for each axis of the material, or a function of temperatures (n,) that returns (n,) or (n, 3) numbers. Plane
-        bodies and bars need the coefficients across them too.
+        per axis of the material, or a function of temperatures (n,) that returns values (n,) or (n, 3). Plane bodies
+        and bars require the out-of-plane coefficients too.
     orientation : float or (3, 3) matrix, optional
-        Axes of the material in columns, or the angle of the first about z [rad]; those of the body by default.
+        Axes of the material in columns, or the angle of the first axis about z [rad]; the axes of the body by default.
     reference : float
-        ``T_ref``, the temperature without stress, which is also that of the body before anything is said of it.
+        ``T_ref``, the stress-free temperature; also the initial temperature of the body.
     factor : callable or Table, optional
-        What multiplies all moduli, the yield stress among them, as a function of temperatures (n,) that returns
-        positive numbers (n,) [-]; 1 by default.
+        Factor of all moduli and of the yield stress, as a function of temperatures (n,) that returns positive values
+        (n,) [-]; 1 by default.
     law : callable, optional
-        The material as a function of one temperature, of the same kind as ``material``: for a yield stress or hardening
-        that depends on temperature otherwise than the moduli. The loops are called once for each different temperature.
+        Function of one temperature that returns a material of the same kind as ``material``, for yield stress or
+        hardening with another temperature dependence than the moduli. The loops are called once per distinct
+        temperature.
     conductivity : float or sequence of three float, optional
-        ``k`` [power / length / temperature], positive: one for all directions or one for each axis of the material;
-        for ``HeatConduction``.
+        ``k`` [power / length / temperature], positive: one for all directions or one per axis of the material; for
+        ``HeatConduction``.
     capacity : float, optional
         ``c``, heat per reference volume and temperature, density times specific heat [energy / volume / temperature],
-        positive; for ``HeatConduction`` that takes time.
+        positive; for transient ``HeatConduction``.
 
     Raises
     ------
     CaseError
-        A number is not finite or not positive, or the orientation has no orthogonal unit vectors.
+        A number is not finite or not positive, or the axes of the orientation are not orthogonal unit vectors.
 
     References
     ----------
@@ -116,7 +116,7 @@ class Thermal(Declared):
         )
 
     def strain(self, T: Float) -> Float:
-        """Return ``alpha (T - T_ref)`` at temperatures (n,) as tensors in the axes of the body (n, 3, 3) [-].
+        """Compute ``alpha (T - T_ref)`` at temperatures (n,) as tensors in the axes of the body (n, 3, 3) [-].
 
         Raises
         ------
@@ -151,19 +151,19 @@ class Thermal(Declared):
         return self.factor is not None or self.law is not None
 
     def conduction(self) -> Float | None:
-        """Return the conductivity as a tensor in the axes of the body (3, 3), None where it is not given."""
+        """Return the conductivity as a tensor in the axes of the body (3, 3), None if it is not declared."""
         if self.conductivity is None:
             return None
         k, R = np.diag(np.broadcast_to(np.asarray(self.conductivity, dtype=float), 3)), self.axes
         return k if R is None else np.asarray(R @ k @ R.T)
 
     def material_at(self, T: float, plain: Material) -> Material:
-        """Return the law at a temperature, ``plain`` where it does not depend on it.
+        """Return the law at a temperature; ``plain`` if it does not depend on temperature.
 
         Raises
         ------
         CaseError
-            The function fails or returns another kind of material than ``plain``, or one of another duration.
+            The function fails, or returns a material of another kind or duration than ``plain``.
         """
         if self.law is None:
             return plain
@@ -181,7 +181,7 @@ class Thermal(Declared):
         return found
 
     def factors(self, T: Float) -> Float:
-        """Return what multiplies the moduli at temperatures (n,) [-].
+        """Compute the factor of the moduli at temperatures (n,) [-].
 
         Raises
         ------

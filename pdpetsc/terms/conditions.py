@@ -23,7 +23,8 @@ from pdpetsc.declare.conditions import (
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.supports import PointSupport
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
-from pdpetsc.discrete.communicator import agreed
+from pdpetsc.declare.tools import Contact
+from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
@@ -32,6 +33,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
+from pdpetsc.terms.contact import STIFFNESS, ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.surface_loads import SurfaceLoads
 
@@ -64,6 +66,8 @@ class Applied:
         self.supports = Supports(body, self.cell)
         self.loads = DeadLoads(body, material_term, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
+        self.contacts: list[Term] = []
+        self._kappa = largest(body.cloud.comm, material_term.kappa)
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
         self.eigenstrains: list[tuple[str, Eigenstrain, Mask]] = []
@@ -72,7 +76,8 @@ class Applied:
     @property
     def terms(self) -> list[Term]:
         """Return the loads."""
-        return [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
+        loads = [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
+        return [*loads, *self.contacts]
 
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
@@ -130,6 +135,20 @@ class Applied:
     def surface_pressure(self, condition: SurfacePressure, name: str) -> None:
         """Add a pressure on facets."""
         self.surface_loads.add_pressure(condition, name)
+
+    def contact(self, condition: Contact, name: str) -> None:
+        """Add the contact with a tool."""
+        cloud = self.body.cloud
+        with agreed(cloud.comm):
+            condition.tool.check(cloud.dim)
+        assert self.body.surface is not None
+        mask = self.body.surface.select(cloud, condition.region, name)
+        own = cloud.volume[: cloud.n_owned]
+        volume, count = total(cloud.comm, [own.sum(), len(own)])
+        depth = self.particles.thickness if cloud.dim < 3 else 1.0
+        spacing = float(volume / count / depth) ** (1.0 / cloud.dim)
+        stiffness = STIFFNESS * self._kappa / spacing if condition.stiffness is None else condition.stiffness
+        self.contacts.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

@@ -1,8 +1,9 @@
 """What the papers show and what comes out here: python runs/papers/table.py [--run] [--paper NAME].
 
 The rows are in the ``.toml`` files beside this one: what a paper prints, the command that gives the number here, what
-it gave, and the verdict. Without words this writes ``docs/reference/papers.md`` from them; ``--run`` runs every command
-and says which numbers have changed. ``tests/cases/test_papers.py`` does both.
+it gave, and the verdict. Without words this writes ``docs/reference/papers.md`` with the items of each paper, and all
+numbers to ``papers.csv`` beside it; ``--run`` runs every command and says which numbers have changed.
+``tests/cases/test_papers.py`` does both.
 
 A row has ``paper``, ``item`` (Table 1, Figure 16), ``what``, ``command`` (one word of it starts with ``out/``, the
 folder of the results), ``result`` (a name in ``results`` of ``summary.json``, or in ``numbers.json``), ``scale``
@@ -15,6 +16,8 @@ whose words are called reproduced must have one of them, or ``below``; with boun
 """
 
 import argparse
+import csv
+import io
 import json
 import re
 import shlex
@@ -30,14 +33,16 @@ else:
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 PAGE = ROOT / "docs" / "reference" / "papers.md"
+NUMBERS = PAGE.with_suffix(".csv")
+COLUMNS = ("paper", "item", "what", "paper's value", "here", "verdict", "why", "command")
 VERDICTS = ("reproduced", "misprint", "differs", "unstated")
 # The papers, how many tables and figures each has, and which figures are sketches or set-ups that show no result.
 PAPERS = {
-    "Hashim": ("N. A. Hashim, W. M. Coombs, C. E. Augarde, G. Hattori: implicit non-ordinary peridynamics", 4, 34),
-    "Luo": ("J. Luo, V. Sundararaghavan (2018): stress points", 1, 14),
-    "Chowdhury": ("S. R. Chowdhury, P. Roy, D. Roy, J. N. Reddy: sub-horizons", 0, 11),
-    "Yaghoobi": ("A. Yaghoobi, M. G. Chorzepa (2017): higher-order weights; abstract and introduction only", 0, 0),
-    "Mikes": ("K. Mikes, M. Jirasek, J. Zeman, O. Rokos, R. Peerlings: localisation in one dimension", 0, 7),
+    "Hashim": ("Hashim, Coombs, Augarde, Hattori: implicit non-ordinary peridynamics", 4, 34),
+    "Luo": ("Luo, Sundararaghavan (2018): stress points", 1, 14),
+    "Chowdhury": ("Chowdhury, Roy, Roy, Reddy: sub-horizons", 0, 11),
+    "Yaghoobi": ("Yaghoobi, Chorzepa (2017): higher-order weights; abstract and introduction only", 0, 0),
+    "Mikes": ("Mikes, Jirasek, Zeman, Rokos, Peerlings: localisation in one dimension", 0, 7),
 }
 SKETCHES = {
     "Hashim": {1, 2, 3, 4, 5, 6, 8, 10, 13, 19, 24},
@@ -47,14 +52,13 @@ SKETCHES = {
 # What decides many rows of a paper and is not in its text.
 NOTES = {
     "Hashim": (
-        "The unit of length of G is not in the text and is fitted: 15.933 mm to Table 2, for Tables 2 and 3 and "
-        "Figures 14, 15, 17, 18 and 20 to 23; 1.041 m to Table 4, for Table 4 and Figures 25 to 27; one metre is "
-        "chosen for the G = 0.01 of Figure 11, for Figures 9, 11 and 12. "
-        "Each of the three is one number, which all rows that use it share."
+        "The text gives no unit of length for G. Used here: 15.933 mm, fitted to Table 2 (also for Table 3 and Figures "
+        "14, 15, 17, 18, 20 to 23); 1.041 m, fitted to Table 4 (also for Figures 25 to 27); one metre, chosen for the "
+        "G = 0.01 of Figure 11 (also for Figures 9 and 12)."
     ),
     "Mikes": (
-        "The least critical strain, 0.0001, is not in the text: it is fitted to the level of links 10 spacings long in "
-        "Figure 6, which is therefore an input. The other three levels follow from it."
+        "The text does not give the least critical strain. The value 0.0001 is fitted to the level of links 10 "
+        "spacings long in Figure 6, which is an input. The other three levels follow from it."
     ),
 }
 MOST_AGREES, MOST_WITHIN = 0.05, 0.2
@@ -196,12 +200,60 @@ def summary(rows):
     return lines
 
 
-def sketches(paper):
-    """Return the sentence that names the sketches of a paper."""
-    numbers = sorted(SKETCHES[paper])
-    if len(numbers) == 1:
-        return f"Figure {numbers[0]} is a sketch or a set-up."
-    return f"Figures {', '.join(map(str, numbers))} are sketches or set-ups."
+def here(row):
+    """Return the number of a row that is computed here, as it is shown."""
+    return f"< {row['below']:.3g}" if "below" in row else f"{row['ours']:.5g}"
+
+
+def numbers():
+    """Return the text of the file of all numbers, and of the notes on the papers."""
+    rows, misprints = load()
+    lines = [row | {"paper's value": said(row), "here": here(row)} for row in rows]
+    lines += [entry | {"verdict": "note", "why": entry["text"]} for entry in misprints]
+    file = io.StringIO()
+    written = [[" ".join(line.get(key, "").split()) for key in COLUMNS] for line in lines]
+    csv.writer(file, lineterminator="\n").writerows([COLUMNS, *written])
+    return file.getvalue()
+
+
+def parts(text, ends="."):
+    """Return the parts of a text that end with one of these characters."""
+    return re.split(rf"(?<=[{ends}]) (?!\()", " ".join(text.split()))
+
+
+def of_items(rows):
+    """Return the lines of the table with one row for every item and program."""
+    lines = ["| item | numbers | reproduced | largest difference [%] | command |", "|---|---|---|---|---|"]
+    groups = {}
+    for row in rows:
+        groups.setdefault((row["item"], re.search(r"\S+\.py", row["command"])[0]), []).append(row)
+    for (item, _), own in groups.items():
+        good = [row for row in own if row["verdict"] == "reproduced"]
+        printed = [row for row in good if not in_words(row) and "ours" in row]
+        errors = [100 * abs(row["ours"] - row["printed"]) / (abs(row["printed"]) or 1) for row in printed]
+        largest = f"{max(errors):.2g}" if errors else "-"
+        more = len({row["command"] for row in own}) - 1
+        command = f"`{own[0]['command']}`" + (f" and {more} more" if more else "")
+        lines.append(f"| {item} | {len(own)} | {len(good)} | {largest} | {command} |")
+    return lines
+
+
+def singly(row):
+    """Return the line of one number with its reason."""
+    value = f'"{said(row)}"' if in_words(row) else said(row)
+    found = f"paper {value}; here {here(row)}, **{row['verdict']}**"
+    return f"- {row['item']}, {row['what']}: {found}. {parts(row['why'])[0]}"
+
+
+def unstated(rows):
+    """Return the lines of what a paper does not say: every reason once, with its items and the count of numbers."""
+    groups = {}
+    for row in rows:
+        if row["verdict"] == "unstated":
+            reasons = parts(row["why"], ".;")
+            speaks = [part for part in reasons if re.search(r"\b(text|paper|excerpt|figure)\b", part)]
+            groups.setdefault((speaks or reasons)[0].replace(";", "."), []).append(row["item"])
+    return [f"- {', '.join(dict.fromkeys(items))} ({len(items)}): {reason}" for reason, items in groups.items()]
 
 
 def page():
@@ -209,36 +261,34 @@ def page():
     rows, misprints = load()
     reproduced = [row for row in rows if row["verdict"] == "reproduced"]
     words = sum(map(in_words, reproduced))
+    misprinted = {(row["paper"], row["item"]) for row in rows if row["verdict"] == "misprint"}
     lines = [
-        "# What the papers show, and what comes out here",
-        "",
-        f"{len(rows)} numbers. Of the {len(reproduced)} reproduced, {len(reproduced) - words} are checked against a",
-        f"printed number and {words} against words or round-off, taken for bounds (in brackets, or *<*) that are ours.",
-        "*Unstated*: the paper does not say enough to compare. Written by `python runs/papers/table.py` from the files",
-        "beside it; `make long` runs every command and compares.",
-        "",
+        "# Published results, recomputed\n",
+        f"{len(rows)} numbers of {len(PAPERS)} papers were computed again. Verdicts:\n",
+        f"- *Reproduced*: {len(reproduced) - words} numbers agree with a printed number. {words} satisfy bounds that",
+        "  were chosen here for words of the paper or for round-off.",
+        "- *Misprint*: the printed number contradicts other numbers or equations of the paper.",
+        "- *Differs*: the number computed here contradicts the paper.",
+        "- *Unstated*: the paper does not say enough to compare. A number in brackets counts such values.\n",
+        f"{{download}}`One CSV file <{NUMBERS.name}>` has all numbers, with bounds, commands and complete reasons.",
+        "The tables show the largest relative difference of a reproduced number from the printed one.",
+        "`python runs/papers/table.py` writes page and file. `make long` runs every command and compares.\n",
         *summary(rows),
     ]
     for paper, (title, _, _) in PAPERS.items():
         own = [row for row in rows if row["paper"] == paper]
-        lines += ["", f"## {title}", ""]
+        notes = [entry for entry in misprints if entry["paper"] == paper and (paper, entry["item"]) not in misprinted]
+        notes = [f"- {entry['item']}: {parts(entry['text'])[0]}" for entry in notes]
+        lines += [f"\n## {title}\n"]
         if paper in SKETCHES:
-            lines += [sketches(paper), ""]
-        if paper in NOTES:
-            lines += [NOTES[paper], ""]
-        lines += ["| item | what | paper | here | verdict | command |", "|---|---|---|---|---|---|"]
-        before = None
-        for row in own:
-            verdict = f"**{row['verdict']}**" + (f": {row['why']}" if row.get("why") else "")
-            here = f"< {row['below']:.3g}" if "below" in row else f"{row['ours']:.5g}"
-            command = "as above" if row["command"] == before else f"`{row['command']}`"
-            before = row["command"]
-            cells = row["item"], row["what"], said(row), here, verdict, command
-            lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
-        own = [entry for entry in misprints if entry["paper"] == paper]
-        if own:
-            lines += ["", "Misprints and ambiguities:", ""]
-            lines += [f"- {entry['item']}: {' '.join(entry['text'].split())}" for entry in own]
+            lines += [f"Sketches and set-ups: figures {', '.join(map(str, sorted(SKETCHES[paper])))}.\n"]
+        lines += [f"{NOTES[paper]}\n"] if paper in NOTES else []
+        lines += of_items(own)
+        single = [row for row in own if row["verdict"] in VERDICTS[1:3] or row.get("agrees", 0) > MOST_AGREES]
+        single = [singly(row) for row in single]
+        found = {"Single numbers": single, "Unstated": unstated(own), "Other misprints and gaps": notes}
+        for heading, entries in found.items():
+            lines += [f"\n{heading}:\n", *entries] if entries else []
     return "\n".join(lines) + "\n"
 
 
@@ -249,6 +299,7 @@ def main():
     words = parser.parse_args()
     if not words.run:
         PAGE.write_text(page(), encoding="utf-8")
+        NUMBERS.write_text(numbers(), encoding="utf-8")
         return
     sys.exit(1 if differences([row for row in load()[0] if words.paper in (None, row["paper"])]) else 0)
 

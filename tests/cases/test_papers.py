@@ -1,5 +1,6 @@
 """The table of what the papers show: complete, consistent, and what its commands give."""
 
+import csv
 import importlib.util
 
 import pytest
@@ -60,8 +61,12 @@ def test_no_table_and_no_figure_is_missing(paper):
     assert not {f"Figure {n}" for n in table.SKETCHES.get(paper, ())} & table.covered(ROWS, paper)
 
 
-def test_the_page_says_what_the_rows_say():
-    assert table.PAGE.read_text() == table.page(), "run python runs/papers/table.py"
+def test_page_and_file_of_numbers_say_what_the_rows_say():
+    assert table.PAGE.read_text(encoding="utf-8") == table.page(), "run python runs/papers/table.py"
+    assert table.NUMBERS.read_text(encoding="utf-8") == table.numbers(), "run python runs/papers/table.py"
+    lines = list(csv.DictReader(table.NUMBERS.read_text(encoding="utf-8").splitlines()))
+    assert [line["command"] for line in lines if line["command"]] == [row["command"] for row in ROWS]
+    assert len(lines) == len(ROWS) + len(MISPRINTS)
 
 
 @pytest.mark.long

@@ -223,7 +223,7 @@ def test_a_step_whose_energy_comes_from_nowhere_does_not_count(times, tmp_path):
         # The history has what the path follows, up to the declared end.
         opening = pd.run(case, output=tmp_path).history["opening"]
         assert opening[-1] == pytest.approx(0.04, rel=1e-9)
-        assert 0.0 < np.diff(opening).min() and np.diff(opening).max() <= 0.01 * (1.0 + 1e-9)
+        assert np.diff(opening).min() > 0.0 and np.diff(opening).max() <= 0.01 * (1.0 + 1e-9)
         return
     with pytest.raises(pd.SolveError, match="energy does not balance"):
         pd.run(case, output=tmp_path)

@@ -1,0 +1,265 @@
+"""Rigid tools by their signed distance, moved by schedules, and their contact with a body."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.conditions import Condition, evaluated
+from pdpetsc.declare.region import Region
+from pdpetsc.declare.schedule import Ramp, Schedule
+from pdpetsc.declared import Declared, NonNegative, Positive
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class RigidTool(Declared):
+    """A rigid surface with a signed distance; derive from it for another shape.
+
+    Parameters
+    ----------
+    move : sequence of float, optional
+        Displacement at the end of the load (dim,) [length]; none by default.
+    schedule : callable, optional
+        Factor on ``move`` as a function of the load parameter; ``Ramp()`` by default.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> isinstance(pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), pd.RigidTool)
+    True
+    """
+
+    move: Sequence[float] = field(default=(), kw_only=True)
+    schedule: Schedule = field(default_factory=Ramp, kw_only=True)
+
+    @abstractmethod
+    def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
+        """Compute distance, normal and curvature at points ``x + u``.
+
+        The distance is that of ``x``, with a constant rounding error, and a change that does not round as long
+        coordinates do: ``c`` times its noise is a force.
+
+        Parameters
+        ----------
+        x, u : (n, dim) float64
+            Reference positions, and displacements relative to the tool [length].
+
+        Returns
+        -------
+        g : (n,) float64
+            Signed distance, negative inside the tool [length].
+        n : (n, dim) float64
+            Its gradient, the outward normal of the tool [-].
+        H : (n, dim, dim) float64
+            Its second gradient [1 / length].
+        """
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        if len(self.move) not in (0, dim):
+            raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
+
+    def displacement(self, t: float, dim: int) -> Float:
+        """Compute the displacement of the tool at a load parameter (dim,) [length]."""
+        if not len(self.move):
+            return np.zeros(dim)
+        factor = evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t)
+        return np.asarray(self.move, dtype=float) * factor
+
+
+def _vector(tool: RigidTool, name: str, dim: int) -> Float:
+    values = np.asarray(getattr(tool, name), dtype=float)
+    if values.shape != (dim,):
+        raise CaseError(f"{type(tool).__name__} has a {name} of {values.size} numbers in {dim} dimensions; give {dim}.")
+    return values
+
+
+@dataclass(frozen=True)
+class RigidPlane(RigidTool):
+    """A rigid half space below a plane (a line in 2D).
+
+    Parameters
+    ----------
+    point : sequence of float
+        A point of the plane (dim,) [length].
+    normal : sequence of float
+        Normal that points out of the tool, towards the body (dim,); its length does not matter.
+    move, schedule
+        As for ``RigidTool``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> press = pd.RigidPlane((0.0, 10.0), (0.0, -1.0), move=(0.0, -0.5))
+    """
+
+    point: Sequence[float]
+    normal: Sequence[float]
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        super().check(dim)
+        _vector(self, "point", dim)
+        if not np.linalg.norm(_vector(self, "normal", dim)) > 0.0:
+            raise CaseError("The normal of a RigidPlane is zero; let it point towards the body.")
+
+    def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
+        """Compute ``n . (x - point) + n . u``."""
+        dim = x.shape[1]
+        n = np.asarray(self.normal, dtype=float)
+        n = n / np.linalg.norm(n)
+        g = (x - np.asarray(self.point, dtype=float)) @ n + u @ n
+        return g, np.broadcast_to(n, x.shape), np.zeros((len(x), dim, dim))
+
+
+@dataclass(frozen=True)
+class RigidSphere(RigidTool):
+    """A rigid ball; in 2D a disc, which is a cylinder across the plane.
+
+    Parameters
+    ----------
+    center : sequence of float
+        Its middle (dim,) [length].
+    radius : float
+        [length], positive.
+    hollow : bool
+        If True, the body is inside of the ball.
+    move, schedule
+        As for ``RigidTool``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> punch = pd.RigidSphere((0.0, 13.0), 3.0, move=(0.0, -0.1))
+    """
+
+    center: Sequence[float]
+    radius: Positive
+    hollow: bool = False
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        super().check(dim)
+        _vector(self, "center", dim)
+
+    def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
+        """Compute ``|x + u - center| - radius``, or its negative if the body is inside."""
+        return _round(x - np.asarray(self.center, dtype=float), u, self.radius, self.hollow)
+
+
+@dataclass(frozen=True)
+class RigidCylinder(RigidTool):
+    """A rigid cylinder without ends, in space.
+
+    Parameters
+    ----------
+    center : sequence of float
+        A point of its axis (3,) [length].
+    axis : sequence of float
+        Direction of its axis (3,); its length does not matter.
+    radius : float
+        [length], positive.
+    hollow : bool
+        If True, the body is inside of the cylinder.
+    move, schedule
+        As for ``RigidTool``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> roller = pd.RigidCylinder((0.0, 0.0, -2.0), (0.0, 1.0, 0.0), 2.0)
+    """
+
+    center: Sequence[float]
+    axis: Sequence[float]
+    radius: Positive
+    hollow: bool = False
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the body is none in space, or the axis has no direction."""
+        super().check(dim)
+        if dim != 3:
+            raise CaseError("A RigidCylinder is for bodies in space; take RigidSphere, which is a cylinder in 2D.")
+        _vector(self, "center", dim)
+        if not np.linalg.norm(_vector(self, "axis", dim)) > 0.0:
+            raise CaseError("The axis of a RigidCylinder has no direction.")
+
+    def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
+        """Compute the distance from the axis less the radius, or its negative if the body is inside."""
+        e = np.asarray(self.axis, dtype=float)
+        across = np.eye(3) - np.outer(e, e) / (e @ e)
+        start = (x - np.asarray(self.center, dtype=float)) @ across
+        g, n, H = _round(start, u @ across, self.radius, self.hollow)
+        # The second gradient of the distance from a point has no part along the axis.
+        return g, n, across @ H @ across
+
+
+@dataclass(frozen=True)
+class Contact(Condition):
+    """Contact of a side of the body with a rigid tool, with Coulomb friction.
+
+    The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
+    interpolated linearly from the particles near them. With the gap ``g`` of a facet the tool presses with
+    ``p = stiffness <-g>``. The tangential traction sticks with the same stiffness until it reaches ``friction p``.
+
+    Parameters
+    ----------
+    region : Region or str
+        Facets that may touch: a side, ``"-x"`` to ``"+z"``, a set or a region.
+    tool : RigidTool
+        ``RigidPlane``, ``RigidSphere`` or ``RigidCylinder``.
+    friction : float
+        Coefficient of friction [-]; 0 by default.
+    stiffness : float, optional
+        Pressure over penetration [stress / length]; by default 100 times the modulus ``lambda + 2 mu / dim`` over the
+        spacing.
+    name : str
+        Prefix of the columns ``NAME_x``, ``NAME_y`` (force of the tool on the body) and ``NAME_area`` (area in contact)
+        in the history.
+
+    Raises
+    ------
+    CaseError
+        In a case: the tool overlaps the body at the start, or the surface of the particles is not known.
+    SolveError
+        A step converges with a penetration of more than 5 % of the spacing.
+
+    References
+    ----------
+    Wriggers2006, sections 5.1 and 5.2 (penalty), 10.5 (return mapping).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> roller = pd.RigidSphere((5.0, 3.0), 1.0, move=(0.0, -0.2))
+    >>> pressed = pd.Contact("+y", roller, friction=0.3, name="roller")
+    """
+
+    region: Region
+    tool: RigidTool
+    friction: NonNegative = 0.0
+    stiffness: Positive | None = None
+    name: str = "contact"
+
+    on_surface: ClassVar[bool] = True
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the term."""
+        onto.contact(self, name)
+
+
+def _round(d: Float, u: Float, radius: float, hollow: bool) -> tuple[Float, Float, Float]:
+    """Compute distance, normal and curvature of a sphere at ``d + u`` (n, dim) from its middle."""
+    r = np.maximum(np.linalg.norm(d + u, axis=1), np.finfo(float).tiny)
+    # r^2 - radius^2 without the difference of two large numbers that move.
+    square = ((d * d).sum(axis=1) - radius**2) + ((2.0 * d + u) * u).sum(axis=1)
+    g = square / (r + radius)
+    n = (d + u) / r[:, None]
+    H = (np.eye(d.shape[1]) - n[:, :, None] * n[:, None, :]) / r[:, None, None]
+    return (-g, -n, -H) if hollow else (g, n, H)

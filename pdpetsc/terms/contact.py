@@ -1,0 +1,271 @@
+"""Contact of the facets of a surface with a rigid tool: penalty, Coulomb friction by return mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declare.tools import Contact
+from pdpetsc.discrete.communicator import largest
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.gradient.products import Product, RankOneProduct
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray, Term
+
+# Pressure over penetration of the default stiffness, in moduli over the spacing [-].
+STIFFNESS = 100.0
+# Stiffness of facets that stick over that of those that are pressed [-]; at 1 Newton cycles between both ways to
+# slide.
+STICKING = 0.1
+# Penetration over the spacing with which a run fails, and with which a tool overlaps the body at the start [-].
+DEEP, OVERLAP = 0.05, 1e-6
+
+
+class _Touching(NamedTuple):
+    """Tractions (m, dim) [stress] on the facets that touch, and minus their derivatives (m, dim, dim)."""
+
+    rows: GlobalIndex
+    traction: Float
+    blocks: Float
+
+
+class ContactProduct(RankOneProduct):
+    """``sum_f N_f (x) N_f B_f``: what couples the particles of each facet, whose weights ``N_f`` sum to one.
+
+    Parameters
+    ----------
+    facets : StencilMembers
+        The members of each facet.
+    n_owned : int
+        Number of own particles.
+    N : (n_entries,) float64
+        Weights of the members [-].
+    blocks : (n_facets, dim, dim) float64
+        ``B_f`` [force / length].
+    """
+
+    def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
+        dim, sizes = blocks.shape[1], np.diff(facets.point_ptr)
+        # One stencil for each component of the displacement of a facet.
+        ptr = np.concatenate([[0], np.cumsum(np.repeat(sizes, dim))]).astype(np.int64)
+        entry = np.arange(ptr[-1]) - np.repeat(ptr[:-1], np.repeat(sizes, dim))
+        entry += np.repeat(np.repeat(facets.point_ptr[:-1], dim), np.repeat(sizes, dim))
+        column = np.repeat(np.tile(np.arange(dim), len(sizes)), np.repeat(sizes, dim))
+        of_facet = np.repeat(np.arange(len(sizes)), dim * sizes)
+        h = N[entry, None] * blocks[of_facet, :, column]
+        g = N[entry, None] * np.eye(dim)[column]
+        members = StencilMembers(np.repeat(facets.owner, dim), ptr, facets.members[entry])
+        super().__init__(members, n_owned, h, g, np.ones(dim * len(sizes)))
+        self._facets, self._N, self._blocks = facets, N, blocks
+        self._of = np.repeat(np.arange(len(sizes)), sizes)
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the facets of the particles; other than a gradient they see a translation."""
+        here = np.isin(self._facets.owner, particles)
+        members, N = self._facets.members, self._N
+        moved = np.stack([np.bincount(self._of, N * du[members, axis], len(here)) for axis in range(du.shape[1])], 1)
+        force = np.where(here[:, None], np.einsum("fij,fj->fi", self._blocks, moved), 0.0)
+        np.add.at(f, members, N[:, None] * force[self._of])
+
+
+class ContactForces(Term):
+    """Forces ``f_k = sum_f N_f(x_k) |a_f| (p n + tau)`` of a rigid tool on the facets of a surface.
+
+    With the gap g of a facet at ``x_f + sum_k N_f(x_k) u_k``, ``p = c <-g>``. Friction has the trial traction
+    ``tau* = (1 - n (x) n) (tau_0 - c_t (u - u_0))`` relative to the tool since the last converged step; it sticks,
+    ``tau = tau*``, while ``|tau*| <= mu p``, and slides with ``tau = mu p tau* / |tau*|``.
+
+    Parameters
+    ----------
+    body : Body
+        Particles with their surface.
+    declared : Contact
+        What is declared.
+    mask : (n_facets,) bool
+        Facets that may touch.
+    stiffness : float
+        ``c`` [stress / length].
+    spacing : float
+        Mean spacing of the particles [length].
+    name : str
+        Name of the condition in messages.
+
+    Notes
+    -----
+    Construction and the methods are collective.
+    """
+
+    linear = False
+    energy_of = "contact"
+    horizons = 2
+
+    def __init__(
+        self, body: Body, declared: Contact, mask: Mask, stiffness: float, spacing: float, name: str
+    ) -> None:  # fmt: skip
+        self.body, self._declared, self._name = body, declared, name
+        self._tool, self._mu, self._c, self._spacing = declared.tool, declared.friction, stiffness, spacing
+        self.symmetric = self._mu == 0.0
+        surface = body.surface
+        assert surface is not None
+        at = np.flatnonzero(mask)
+        at = at[np.argsort(surface.owner[at], kind="stable")]
+        self._x, self._area = surface.x[at], np.linalg.norm(surface.area[at], axis=1)
+        sizes = np.diff(surface.ptr)[at]
+        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        entry = np.arange(ptr[-1]) - np.repeat(ptr[:-1], sizes) + np.repeat(surface.ptr[at], sizes)
+        self._facets = StencilMembers(surface.owner[at].astype(np.int32), ptr, surface.members[entry])
+        self._N, self._of = surface.N[entry], np.repeat(np.arange(len(at)), sizes)
+        # Displacements relative to the tool and tangential tractions at the last converged step.
+        self._tau, self._slid = np.zeros_like(self._x), np.zeros_like(self._x)
+        deepest = self._deepest(State(body, np.zeros((body.cloud.n_rows, body.dim))))
+        if deepest > OVERLAP * spacing:
+            raise CaseError(
+                f"The tool of {name} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch."
+            )
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
+        """Return the members of the facets (not collective)."""
+        return self._facets.point_ptr, self._facets.members
+
+    def _moved(self, state: State) -> Float:
+        """Compute the displacements of the facets relative to the tool (n_facets, dim) [length] (collective)."""
+        u, count = state.u_local, len(self._x)
+        moved = [np.bincount(self._of, self._N * u[self._facets.members, axis], count) for axis in range(self.body.dim)]
+        return np.stack(moved, axis=1) - self._tool.displacement(state.t, self.body.dim)
+
+    def _gap(self, state: State) -> tuple[Float, Float, Float]:
+        """Compute gap, normal and curvature of all facets (collective)."""
+        moved = self._moved(state)
+        return state.kept((self, "gap"), lambda: self._tool.gap(self._x, moved))
+
+    def _deepest(self, state: State) -> float:
+        """Compute the largest penetration [length] (collective)."""
+        g = self._gap(state)[0]
+        return largest(self.body.cloud.comm, float(np.max(-g, initial=0.0)))
+
+    def _touching(self, state: State) -> _Touching:
+        """Compute the tractions on the facets that touch (collective)."""
+        gap, moved = self._gap(state), self._moved(state)
+        return state.kept((self, "touching"), lambda: self._tractions(moved, *gap))
+
+    def _tractions(self, moved: Float, g: Float, n: Float, H: Float) -> _Touching:
+        rows = np.flatnonzero(g < 0.0)
+        n, H, p = n[rows], H[rows], -self._c * g[rows]
+        nn = n[:, :, None] * n[:, None, :]
+        traction = p[:, None] * n
+        # Minus the derivative of p n.
+        blocks = self._c * nn - p[:, None, None] * H
+        if self._mu > 0.0:
+            along = self._tau[rows] - STICKING * self._c * (moved[rows] - self._slid[rows])
+            across = np.eye(self.body.dim) - nn
+            trial = np.einsum("pij,pj->pi", across, along)
+            size = np.linalg.norm(trial, axis=1)
+            # Derivative of the trial, which turns with the normal.
+            turned = (n * along).sum(axis=1)[:, None, None] * H
+            turned = turned + n[:, :, None] * np.einsum("pij,pj->pi", H, along)[:, None, :]
+            by = STICKING * self._c * across + turned
+            slides = size > self._mu * p
+            e = trial / np.where(size > 0.0, size, 1.0)[:, None]
+            share = np.where(slides, self._mu * p / np.where(size > 0.0, size, 1.0), 1.0)
+            sliding = np.einsum("pij,pjk->pik", np.eye(self.body.dim) - e[:, :, None] * e[:, None, :], by)
+            sliding = share[:, None, None] * sliding + self._mu * self._c * e[:, :, None] * n[:, None, :]
+            blocks = blocks + np.where(slides[:, None, None], sliding, by)
+            traction = traction + share[:, None] * trial
+        return _Touching(rows, traction, blocks)
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Subtract the forces of the tool."""
+        touching = self._touching(state)
+        force = np.zeros_like(self._x)
+        force[touching.rows] = self._area[touching.rows, None] * touching.traction
+        np.add.at(f, self._facets.members, -self._N[:, None] * force[self._of])
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return the blocks of the facets that touch."""
+        touching = self._touching(state)
+        rows = touching.rows
+        sizes = np.diff(self._facets.point_ptr)[rows]
+        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        entry = np.isin(self._of, rows)
+        facets = StencilMembers(self._facets.owner[rows], ptr, self._facets.members[entry])
+        blocks = self._area[rows, None, None] * touching.blocks
+        return [ContactProduct(facets, self.body.cloud.n_owned, self._N[entry], blocks)]
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_f |a_f| (p^2 / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
+        touching, n = self._touching(state), self._gap(state)[1]
+        p = (touching.traction * n[touching.rows]).sum(axis=1)
+        tau = (touching.traction**2).sum(axis=1) - p**2
+        return float(self._area[touching.rows] @ (p**2 + tau / STICKING) / (2.0 * self._c))
+
+    def commit(self, state: State) -> None:
+        """Keep the tangential tractions; raise SolveError if the tool is too deep in the body."""
+        deepest = self._deepest(state)
+        if deepest > DEEP * self._spacing:
+            raise SolveError(
+                f"The tool of {self._name} is {deepest / self._spacing:.2g} spacings deep in the body at step time "
+                f"{state.t:.6g}; raise its stiffness above {self._c:.3g}."
+            )
+        if self._mu > 0.0:
+            touching, n = self._touching(state), self._gap(state)[1]
+            self._tau[:] = 0.0
+            normal = n[touching.rows]
+            along = (touching.traction * normal).sum(axis=1)[:, None] * normal
+            self._tau[touching.rows] = touching.traction - along
+            self._slid[:] = self._moved(state)
+            self.version += 1
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether friction remembers where particles stick."""
+        return self._mu > 0.0
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return tangential tractions and relative displacements at the last converged step."""
+        if self._mu == 0.0:
+            return {}
+        prefix = self._declared.name
+        return {
+            f"{prefix}_tau": KeptArray(self._facets.owner, self._tau),
+            f"{prefix}_slid": KeptArray(self._facets.owner, self._slid),
+        }
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return the components of the force of the tool on the body, and the area that touches."""
+        prefix = self._declared.name
+
+        def component(axis: int) -> Callable[[State], float]:
+            def force(state: State) -> float:
+                touching = self._touching(state)
+                return float(self._area[touching.rows] @ touching.traction[:, axis])
+
+            return force
+
+        found = {f"{prefix}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
+        return found | {f"{prefix}_area": lambda state: float(self._area[self._touching(state).rows].sum())}
+
+    def of_facets(self, state: State) -> tuple[Float, Float, Float]:
+        """Return positions, tractions and areas of the facets of this rank that touch (collective).
+
+        (m, dim) [length], (m, dim) [stress] and (m,) [area].
+        """
+        touching = self._touching(state)
+        return self._x[touching.rows], touching.traction, self._area[touching.rows]
+
+    def fields(self) -> Mapping[str, Callable[[State], Float]]:
+        """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
+
+        def traction(state: State) -> Float:
+            touching, owner = self._touching(state), self._facets.owner
+            values = np.zeros((self.body.cloud.n_owned, self.body.dim))
+            np.add.at(values, owner[touching.rows], self._area[touching.rows, None] * touching.traction)
+            area = np.bincount(owner, self._area, len(values))
+            return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
+
+        return {f"{self._declared.name}_traction": traction}

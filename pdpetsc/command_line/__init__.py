@@ -1,1 +1,1 @@
-"""The command line: reading arguments, running a case file, comparing and drawing finished runs."""
+"""The command line: parse arguments, run a case file, compare and draw finished runs."""

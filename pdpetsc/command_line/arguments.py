@@ -1,4 +1,4 @@
-"""The words of a command line: a path, parameters, options of pdpetsc and options of PETSc."""
+"""Arguments of a command line: a path, parameters, options of pdpetsc and options of PETSc."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pdpetsc.errors import CaseError
 
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
-# Options that may be repeated: a script adds its own to those of its user, and the last one counts.
+# Options that may be repeated: a script adds its own to those of its user, and the last one is used.
 REPEATED = ("-o", "--restart", "--solver", "--ignore")
 
 
 @dataclass(frozen=True)
 class Syntax:
-    """What a command accepts on its command line, besides ``-h``.
+    """Arguments that a command accepts, besides ``-h``.
 
     Attributes
     ----------
     path : str
-        What the one word without ``=`` and ``-`` names; empty for a command without such a word.
+        Meaning of the single word without ``=`` and ``-``; empty for a command without it.
     valued, flags : tuple of str
         Options with a value after them, and without.
     parameters : tuple of str or None
@@ -79,12 +79,12 @@ class Arguments:
 def split(argv: Sequence[str], syntax: Syntax = RUN, name: str = "pdpetsc") -> Arguments:
     """Split a command line.
 
-    A PETSc option takes the next word as its value unless that is an option or ``name=value``.
+    The next word is the value of a PETSc option unless it is an option or ``name=value``.
 
     Parameters
     ----------
     name : str
-        Of the command, for messages.
+        Name of the command, for messages.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Case files: the function ``case``, its parameters and the case that it returns."""
+"""Case files: the function ``case``, its parameters and the returned case."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def load_case(path: Path) -> Callable[..., Case]:
     """
     try:
         there = path.is_file()
-    except OSError as error:  # a name that is too long
+    except OSError as error:  # the name is too long
         raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
     if not there:
         command = "" if path.suffix else meant(str(path), COMMANDS, "; did you mean the command {}?")
@@ -70,7 +70,7 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
 
 
 def make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
-    """Return the case that the function of a case file makes; raises CaseError where it makes none."""
+    """Call the function of a case file; raise CaseError unless it returns a case."""
     from pdpetsc.case import Case
 
     case = _guarded(path, lambda: function(**parameters))
@@ -80,7 +80,7 @@ def make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str,
 
 
 def _guarded(path: Path, call: Callable[[], Any]) -> Any:
-    """Call what the case file defines and turn its errors into one sentence with the line."""
+    """Call a function of the case file and convert its errors to one message with the line."""
     try:
         return call()
     except PdpetscError:
@@ -101,7 +101,7 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
 
 
 def _keywords(words: str) -> str:
-    """Return which words a class or function of pdpetsc takes, where an error says that it was given another one."""
+    """Return the keywords of a class or function of pdpetsc if an error is about a wrong keyword."""
     import pdpetsc
 
     found = re.match(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'", words)
@@ -118,7 +118,7 @@ def _line_of(path: Path, error: BaseException) -> str:
 
 
 def convert(name: str, text: str, default: Any) -> Any:
-    """Return a word of the command line as a value of the type of a default; raises CaseError."""
+    """Convert a word of the command line to the type of a default, or raise CaseError."""
     kind = type(default)
     try:
         if kind is bool:

@@ -1,29 +1,29 @@
-"""Run a case, or carry out a command.
+"""Run a case, or execute a command.
 
 usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet | -v] [-PETSC_OPTION [VALUE]]
 
   CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
   NAME=VALUE      a parameter of that function
   -o DIR          folder for the results (default: out/CASE)
-  --restart FILE  go on from a checkpoint, or from the one in a folder
-  --restart-anyway  go on from it also where material, loads or cracks of the case have changed
-  --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
-  --check         compare the results with what the case expects; exit status 1 where one is off
-  --report        write report.html at the end: what was asked, what came out, convergence, timing, pictures
-  --quiet         print errors only
+  --restart FILE  continue from a checkpoint, or from the checkpoint in a folder
+  --restart-anyway  continue from it even if material, loads or cracks of the case have changed
+  --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), instead of the case's
+  --check         compare the results with the expected results of the case; exit status 1 if one differs
+  --report        write report.html at the end: case, results, convergence, timing, pictures
+  --quiet         print only errors
   -v, --verbose   print details too: how weights and tangent were chosen
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
 Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 
-python -m pdpetsc new FILE.py                    writes a commented case to begin with
+python -m pdpetsc new FILE.py                    writes a commented case as a starting point
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc report DIR                     writes report.html of a run, one page with all of it
-python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
-python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
-python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
+python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination, with one table and picture
+python -m pdpetsc study CASE.py NAME=A,B ...     the same, several at a time, with orders of convergence
+python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  fits parameters to a measured curve
 python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
-python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here
+python -m pdpetsc doctor                         checks MPI, PETSc and the other requirements
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ from pdpetsc.command_line.start import start_petsc, take_signals
 from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
 from pdpetsc.machine import stamp_of
 
-# How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
+# Time limit for the end of MPI and PETSc [s]: if one rank fails there, the others would wait for ever.
 LONGEST_END = 120
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and leave with its exit status; a rank that fails alone aborts all."""
+    """Run the command line and exit with its status; a rank that fails alone aborts all."""
     _keep_going_without_readers()
     take_signals()
     failure: BaseException | None = None
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
     except BaseException as error:
-        # A second signal, as mpirun passes one on, shall not interrupt the sentence about the first.
+        # A second signal, forwarded by mpirun, must not interrupt the message about the first.
         take_signals(signal.SIG_IGN)
         failure, status = error, _failed(error)
     with contextlib.suppress(ValueError):
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             signal.signal(number, signal.SIG_DFL)
     with contextlib.suppress(OSError):
         sys.stdout.flush()
-    if of_petsc(failure):  # its own end can crash or hang then
+    if of_petsc(failure):  # its finalisation may crash or hang then
         _leave_petsc(status)
     if "mpi4py.MPI" in sys.modules:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _leave_petsc(status: int) -> NoReturn:
-    """Leave without PETSc's own end, where it has been started."""
+    """Exit without finalising PETSc, if it has been started."""
     if "petsc4py.PETSc" not in sys.modules:
         sys.exit(status)
     from pdpetsc.discrete.failure import leave
@@ -89,12 +89,12 @@ def _leave_petsc(status: int) -> NoReturn:
 
 
 def _failed(error: BaseException) -> int:
-    """Say what ended the command in one sentence and return its exit status; abort where this rank is alone."""
+    """Print the error of the command and return its exit status; abort if this rank fails alone."""
     failure = described(error)
     try:
         from pdpetsc.discrete.communicator import is_root, world
         from pdpetsc.discrete.failure import all_failed, give_up
-    except Exception as missing:  # without MPI there are no other ranks to think of
+    except Exception as missing:  # without MPI there are no other ranks
         print(f"pdpetsc: {described(missing)}", file=sys.stderr, flush=True)
         return 1
     if isinstance(error, KeyboardInterrupt):
@@ -113,7 +113,7 @@ def _failed(error: BaseException) -> int:
 
 
 class _WithoutReader(io.FileIO):
-    """A stream whose reader may go away, like ``| head``: what is written then is dropped."""
+    """A stream whose reader may end early, like ``| head``; later output is dropped."""
 
     def write(self, data: Any) -> int:
         try:
@@ -129,7 +129,7 @@ class _WithoutReader(io.FileIO):
 
 
 def _keep_going_without_readers() -> None:
-    """Let a run go on whose stdout or stderr nobody reads any more; its results are in its folder."""
+    """Continue a run after the reader of stdout or stderr has ended; results are in its folder."""
     for name, number in (("stdout", 1), ("stderr", 2)):
         stream = getattr(sys, name)
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -154,13 +154,13 @@ def _run(argv: list[str]) -> int:
     from pdpetsc.running.signals import watched
 
     comm = world()
-    # PETSc has put its own handlers of signals in place of Python's.
+    # PETSc has replaced Python's signal handlers.
     with watched(comm, _stuck):
         return _run_case(argv, arguments)
 
 
 def _stuck() -> None:
-    """End a rank that a signal should have ended and that waits for others in MPI."""
+    """End a rank that got a signal but waits for others in MPI."""
     from pdpetsc.discrete.communicator import world
     from pdpetsc.discrete.failure import give_up
 
@@ -208,15 +208,15 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             asked=_asked(arguments.path, argv),
         )
     except BaseException as error:
-        # What a run that failed has left is worth a page too, but not what another one left where nothing was run, and
-        # not where other ranks may still be at work: they end with the error of this one.
+        # Write a report also for a failed run, but not if nothing was run, and not if other ranks may still be active:
+        # they end with the error of this rank.
         if "--report" in arguments.flags and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
             with agreed(comm):
                 if is_root(comm) and stamp_of(output / "summary.json") != before:
                     _report_on(output, arguments)
         raise
     if "--report" in arguments.flags:
-        # All wait for the page: the end of MPI takes no longer than the first rank that comes to it allows.
+        # All ranks wait for the report, because the first rank in the finalisation of MPI starts its time limit.
         with agreed(comm):
             if is_root(comm):
                 _report_on(output, arguments)
@@ -224,7 +224,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
 
 
 def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
-    """Return what the summary keeps of the command: its words and the text of the case file."""
+    """Return the entries of the summary on the command: its words and the text of the case file."""
     text = ""
     with contextlib.suppress(OSError):
         text = path.read_text(errors="replace")
@@ -232,7 +232,7 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
 
 
 def _report_on(folder: Path, arguments: Arguments) -> None:
-    """Write the report of a run that has ended (one rank only); results and exit status do not depend on it."""
+    """Write the report of a finished run (one rank only); results and exit status do not depend on it."""
     try:
         path = import_module("pdpetsc.output.report").write_report(folder)
         if "--quiet" not in arguments.flags:
@@ -243,7 +243,7 @@ def _report_on(folder: Path, arguments: Arguments) -> None:
 
 
 def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> str:
-    """Return what a case is, by the first paragraph of its file and function, and its parameters with their types."""
+    """Return the description of a case: the first paragraph of its file and function, and typed parameters."""
     written = (getattr(function, "__globals__", {}).get("__doc__"), function.__doc__)
     paragraphs = [inspect.cleandoc(text).split("\n\n")[0] for text in written if text]
     kinds = {name: "value" if value is None else type(value).__name__ for name, value in parameters.items()}

@@ -1,6 +1,6 @@
-"""What the command line does besides running a case: the module of each command, imported on first use.
+"""Commands besides running a case: the module of each command, imported on first use.
 
-The docstring of the module is the usage of the command, and its function ``run`` carries it out.
+The docstring of the module is the usage of the command; its function ``run`` executes it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COMMANDS: Mapping[str, tuple[str, Syntax]] = {
     "import": ("import_deck", Syntax("deck", ("-o", "--ignore"), ("--static", "--overwrite"))),
     "doctor": ("doctor", Syntax("")),
 }
-# Commands that write the same files from every process that runs them.
+# Commands for a single process: several would write the same files.
 ALONE = ("plot", "report", "new", "import")
 
 
@@ -41,7 +41,7 @@ def usage_of(module: str) -> str:
 
 
 def command(name: str, argv: Sequence[str]) -> int:
-    """Carry out a command; return its exit status or raise what ends it.
+    """Execute a command and return its exit status.
 
     Raises
     ------

@@ -1,10 +1,9 @@
-"""Look whether what pdpetsc stands on works here, and say what to do where it does not.
+"""Check that the requirements of pdpetsc work here, with advice if they do not.
 
 usage: [mpirun -n N] python -m pdpetsc doctor
 
-Looks at versions, MPI, PETSc, its direct solver and BLAS, HDF5, the cache of compiled kernels, cores and the disk, and
-says what to do about each. Ends with status 1 where pdpetsc cannot work. With mpirun it looks whether ranks hear each
-other.
+Checks versions, MPI, PETSc, its direct solver and BLAS, HDF5, the cache of compiled kernels, cores and the disk, and
+prints advice for each. The exit status is 1 if pdpetsc cannot work. With mpirun it also checks that ranks communicate.
 """
 
 from __future__ import annotations
@@ -26,42 +25,42 @@ from pdpetsc.command_line.start import processes_started, start_petsc, take_sign
 from pdpetsc.errors import RunError, described
 from pdpetsc.machine import cores, threads
 
-if TYPE_CHECKING:  # the doctor looks first whether MPI can be loaded
+if TYPE_CHECKING:  # MPI is checked before other imports
     from pdpetsc.discrete.communicator import Comm
 
 NEEDED = ("numpy", "scipy", "numba", "mpi4py", "petsc4py", "h5py", "meshio", "matplotlib", "rich", "sympy")
-# The oldest that the tests have been run with.
+# The oldest tested versions.
 OLDEST_PETSC = (3, 18)
-# What each of these gives.
+# Purpose of each optional package.
 OPTIONAL = {
     "netCDF4": "meshes in Exodus files",
     "pandas": "histories as data frames",
     "pyvista": "fields as PyVista meshes",
 }
-# A product of matrices below this many operations a second is that of the reference BLAS [1 / s].
+# A matrix product with fewer operations per second is by the reference BLAS [1 / s].
 SLOW_BLAS = 5e9
 SIDE = 600
-# The direct solver that pdpetsc takes by default.
+# The default direct solver of pdpetsc.
 DIRECT = "mumps"
-# What ranks send each other, more than goes without the other's agreement [bytes], and how long it may take [s].
+# Size of the test message between ranks, above the eager limit [bytes], and its time limit [s].
 MESSAGE, PATIENCE = 2**22, 30.0
-# Room for results below which a warning is due [bytes].
+# Free disk space below which the command warns [bytes].
 LITTLE = 2**30
 
 
 class Finding(NamedTuple):
-    """What one check has found.
+    """The result of one check.
 
     Attributes
     ----------
     verdict : {"ok", "look", "broken"}
-        Works; works, but not as it could; or pdpetsc cannot work.
+        Works; works with limitations; or pdpetsc cannot work.
     what : str
-        What was looked at.
+        Name of the check.
     found : str
-        What is there.
+        Result of the check.
     advice : str
-        What to do about it; empty where nothing.
+        Advice; empty if there is nothing to do.
     """
 
     verdict: Literal["ok", "look", "broken"]
@@ -71,13 +70,13 @@ class Finding(NamedTuple):
 
 
 def versions(comm: Comm | None) -> Iterator[Finding]:
-    """Yield the versions of what is needed, and of what is useful."""
+    """Yield the versions of required and optional packages."""
     yield Finding("ok", "Python", f"{platform.python_version()} on {platform.machine()}")
     there, missing = [], []
     for name in NEEDED:
         try:
             there.append(f"{name} {_version(name)}")
-        except Exception:  # the cause of one that is there and broken is told of apart
+        except Exception:  # a broken installation is reported separately
             missing.append(name)
     yield Finding("ok", "packages", ", ".join(there))
     if missing:
@@ -92,7 +91,7 @@ def versions(comm: Comm | None) -> Iterator[Finding]:
 
 
 def _version(name: str) -> str:
-    """Return the version of a package that can be imported; distributions may know it by another name."""
+    """Return the version of an importable package; its distribution may have another name."""
     module = importlib.import_module(name)
     try:
         return metadata.version(name)
@@ -101,7 +100,7 @@ def _version(name: str) -> str:
 
 
 def ranks(comm: Comm) -> Iterator[Finding]:
-    """Yield whether the processes that were started are ranks of one job that hear each other, and PETSc sees them."""
+    """Check that the started processes are ranks of one job that communicate, also in PETSc."""
     from petsc4py import PETSc
 
     from pdpetsc.discrete.communicator import mpi_library, total
@@ -128,7 +127,7 @@ def ranks(comm: Comm) -> Iterator[Finding]:
 
 
 def _around(comm: Comm) -> float | None:
-    """Return how long a message to the next rank takes [s]; None where it does not come, or not as it was sent."""
+    """Return the time of a message to the next rank [s]; None if it is lost or changed."""
     sent = np.full(MESSAGE // 8, float(comm.rank))
     got = np.empty_like(sent)
     ahead, behind = (comm.rank + 1) % comm.size, (comm.rank - 1) % comm.size
@@ -143,7 +142,7 @@ def _around(comm: Comm) -> float | None:
 
 
 def petsc(comm: Comm) -> Iterator[Finding]:
-    """Yield how PETSc was built, and whether its direct solver factors a matrix."""
+    """Check the configuration of PETSc, and that its direct solver factors a matrix."""
     from petsc4py import PETSc
 
     bits, version = 8 * np.dtype(PETSc.IntType).itemsize, PETSc.Sys.getVersion()
@@ -170,7 +169,7 @@ def petsc(comm: Comm) -> Iterator[Finding]:
 
 
 def _factored(comm: Comm) -> float:
-    """Return by how much a solve with MUMPS misses its known solution."""
+    """Return the error of a solve with MUMPS for a known solution."""
     from petsc4py import PETSc
 
     n = 50 * comm.size
@@ -198,9 +197,9 @@ def _factored(comm: Comm) -> float:
 
 
 def blas(comm: Comm) -> Iterator[Finding]:
-    """Yield how fast PETSc multiplies matrices, which is what its direct solver does all the time.
+    """Check the speed of matrix products in PETSc, which determines that of its direct solver.
 
-    numpy may have a BLAS of its own, as the one from PyPI does; it tells nothing of that of PETSc.
+    numpy may have its own BLAS, as from PyPI; its speed is not that of PETSc.
     """
     from petsc4py import PETSc
 
@@ -226,7 +225,7 @@ def blas(comm: Comm) -> Iterator[Finding]:
 
 
 def core_counts(comm: Comm) -> Iterator[Finding]:
-    """Yield whether every rank on this machine has a core of its own."""
+    """Check that every rank on this machine has its own core."""
     there, beside = os.cpu_count() or 1, comm.allgather(platform.node()).count(platform.node())
     if comm.size > 1:
         found = f"{there} for {beside} ranks x {threads()} threads"
@@ -239,7 +238,7 @@ def core_counts(comm: Comm) -> Iterator[Finding]:
 
 
 def hdf5(comm: Comm) -> Iterator[Finding]:
-    """Yield whether several ranks write one file together."""
+    """Check that several ranks can write one file in parallel."""
     import h5py
 
     version = h5py.version.hdf5_version
@@ -255,7 +254,7 @@ def hdf5(comm: Comm) -> Iterator[Finding]:
 
 
 def _written_together(comm: Comm) -> str:
-    """Return what is wrong with a file that all ranks write; empty if nothing is (collective)."""
+    """Return the error of a file written by all ranks; empty if there is none (collective)."""
     import h5py
 
     path, wrong = comm.bcast(str(Path.cwd() / f".pdpetsc-doctor-{os.getpid()}.h5")), ""
@@ -275,7 +274,7 @@ def _written_together(comm: Comm) -> str:
 
 
 def kernels(comm: Comm) -> Iterator[Finding]:
-    """Yield whether compiled kernels are kept for the next run."""
+    """Check that compiled kernels are cached for the next run."""
     from pdpetsc.kernels.compile import cache_trouble
     from pdpetsc.kernels.gradient import determinant_kernel
 
@@ -290,7 +289,7 @@ def kernels(comm: Comm) -> Iterator[Finding]:
 
 
 def disk(comm: Comm) -> Iterator[Finding]:
-    """Yield the room for results here."""
+    """Check the free disk space for results."""
     free, here = shutil.disk_usage(Path.cwd()).free, Path.cwd()
     if not os.access(here, os.W_OK):
         yield Finding("look", "disk", f"{here} cannot be written to", "give runs a folder with -o")
@@ -305,7 +304,7 @@ CHECKS: tuple[Check, ...] = (versions, ranks, petsc, blas, core_counts, hdf5, ke
 
 
 def doctor(comm: Comm) -> int:
-    """Print what all checks find on rank 0, and what is broken on others; return 1 where pdpetsc cannot work.
+    """Print all results on rank 0, and failures of other ranks; return 1 if pdpetsc cannot work.
 
     Notes
     -----
@@ -328,11 +327,11 @@ def doctor(comm: Comm) -> int:
 
 
 def run(path: None, arguments: Arguments) -> int:
-    """Carry out the command; return 1 if pdpetsc cannot work."""
+    """Execute the command; return 1 if pdpetsc cannot work."""
     try:
         start_petsc()
     except RunError as error:
-        # Without MPI or PETSc there is no more to see; saying so is what this is for.
+        # Without MPI or PETSc there are no further checks; report this.
         what, _, advice = error.what.partition("; ")
         tell([*versions(None), Finding("broken", "petsc4py", what, advice)])
         return 1
@@ -343,7 +342,7 @@ def run(path: None, arguments: Arguments) -> int:
 
 
 def tell(found: Sequence[Finding]) -> None:
-    """Print findings, a line each, with what to do below."""
+    """Print findings, one line each, with advice below."""
     width = max(len(one.what) for one in found)
     for one in found:
         print(f"{one.verdict:6}  {one.what:{width}}  {one.found}")

@@ -1,23 +1,23 @@
-"""Find parameters of a case whose history is that of a measured curve.
+"""Fit parameters of a case to a measured curve.
 
 usage: python -m pdpetsc fit CASE.py NAME=LOW:HIGH [NAME=...] --to FILE.csv --columns X,Y [--sigma S]
                              [--range LOW:HIGH] [-o DIR] [--ranks N] [--jobs N] [--retry] [--runs N] [--picture]
 
-  NAME=LOW:HIGH    a parameter of the case that is sought between two numbers, from their middle;
-                   LOW:START:HIGH from elsewhere, LOW:HIGH:log by its logarithm
+  NAME=LOW:HIGH    a parameter of the case, searched between two numbers from their middle;
+                   LOW:START:HIGH from START, LOW:HIGH:log on a logarithmic scale
   NAME=VALUE       another parameter of the case
-  --to FILE.csv    the measured curve, under a line of names
-  --columns X,Y    place and value in the history of the runs; X:NAME where the file has another name for it
+  --to FILE.csv    the measured curve, with a header of names
+  --columns X,Y    position and value in the history of the runs; X:NAME if the file has another name
   --sigma S        column of standard deviations of the values
-  --range LOW:HIGH compare between these places only
+  --range LOW:HIGH compare only between these positions
   -o DIR           folder for fit.json, fit.csv and a folder per run (default: out/fit_CASE)
-  --ranks N        run each on N ranks
-  --jobs N         runs side by side: as many as there are parameters help
-  --retry          run again what has failed
-  --runs N         give up after N runs (default: 500)
+  --ranks N        ranks of each run
+  --jobs N         parallel runs: useful up to the number of parameters
+  --retry          repeat failed runs
+  --runs N         largest number of runs (default: 500)
   --picture        draw fit.png: the measured curve and that of the best run
-A run that fails, or ends before the last measured place, is no number: a shorter step is taken. What DIR already holds
-is not run again: a fit that was stopped goes on with the same command.
+If a run fails, or ends before the last measured position, a shorter step is tried. Finished runs in DIR are not
+repeated: the same command continues a stopped fit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _RANGE = re.compile(rf"({_NUMBER}):(?:({_NUMBER}):)?({_NUMBER})(:log)?")
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     to, columns = arguments.value("--to"), (arguments.value("--columns") or "").split(",")
     if to is None or "--columns" not in arguments.values:
         missing = "--to" if to is None else "--columns"
@@ -77,7 +77,7 @@ def run(path: Path, arguments: Arguments) -> int:
 
 
 def _show(console: Console, done: Fit, folder: Path) -> None:
-    # What makes the numbers of the table worth little stands at the table.
+    # Notes on the reliability of the numbers are printed with the table.
     table = Table(caption=next((note for note in done.notes if note.isupper() or note.startswith("THE CASE")), None))
     for name in ("parameter", "value", "standard error", *(f"with {name}" for name in done.values)):
         table.add_column(name, justify="right")

@@ -23,8 +23,8 @@ from pdpetsc.machine import versions
 
 
 def main(path: Path) -> None:
-    """Answer all sets of standard input."""
-    # What a case prints must not stand between the answers.
+    """Write the identities of all sets of standard input."""
+    # Output of a case must not be mixed with the answers.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
 

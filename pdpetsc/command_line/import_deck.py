@@ -4,13 +4,13 @@ usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...] [--static]
 
   DECK           a deck of Peridigm (YAML, or XML of parameter lists) or PeriLab (YAML)
   -o CASE.py     the case file to write (default: the name of the deck, in this folder)
-  --ignore NAME  leave out the entry or section of this name or path, such as Contact or Solver/Verlet, or a column of
+  --ignore NAME  ignore the entry or section of this name or path, such as Contact or Solver/Verlet, or a column of
                  the mesh of PeriLab; may be repeated
-  --static       solve a deck in time (Verlet, Implicit, Newmark) statically
-  --overwrite    write over a file that is there
+  --static       solve a dynamic deck (Verlet, Implicit, Newmark) statically
+  --overwrite    replace an existing file
 
-Everything that the deck says is translated, listed as a comment where it only says what is written or tunes a solver,
-or refused by name. Meshes are read from where they are. What differs is said at the head of the written file.
+Every entry of the deck is translated, listed as a comment if it only selects output or tunes a solver, or refused by
+name. Meshes stay in their place. The head of the written file lists the differences.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ def import_deck(
     deck : Path
         A deck of Peridigm or PeriLab.
     output : Path, optional
-        The case file; the name of the deck in the working folder where absent.
+        The case file; by default the name of the deck, in the working folder.
     ignore : sequence of str
-        Names or paths of entries and sections to leave out.
+        Names or paths of entries and sections to ignore.
     static : bool
-        Whether decks in time are solved statically.
+        If True, dynamic decks are solved statically.
     overwrite : bool
-        Whether a file that is there is written over.
+        If True, an existing file is replaced.
 
     Returns
     -------
     path, said : Path, list of str
-        The file, and what differs from the program of the deck.
+        The file, and differences from the program of the deck.
 
     Raises
     ------
     CaseError
-        The deck cannot be read, has what has no counterpart here, or the file is there or cannot be written.
+        The deck cannot be read or has entries without counterpart, or the file exists or cannot be written.
     """
     path = Path(f"{deck.stem}.py") if output is None else output
     if path.suffix != ".py":
@@ -70,7 +70,7 @@ def import_deck(
     left = [name for name in ignore if not any(entry.partition(" (line")[0].endswith(name) for entry in notes.ignored)]
     if left and translate is not perilab.translate:
         raise _nothing_called(deck, left[0])
-    # They may be columns of the mesh, which is read later.
+    # Such names may be columns of the mesh, which is read later.
     notes.columns = {name.lower(): False for name in left}
     script = translate(Deck(deck, root, notes, path.parent, static))
     for name in left:
@@ -85,7 +85,7 @@ def _nothing_called(deck: Path, name: str) -> CaseError:
 
 
 def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
-    """Return what translates the deck, and the section that it begins with."""
+    """Return the translator of the deck, and its first section."""
     for name, translate in (("Peridigm", peridigm.translate), ("PeriLab", perilab.translate)):
         if name in root.sections:
             if len(root.sections) + len(root.entries) > 1:
@@ -97,7 +97,7 @@ def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
 
 
 def _write(path: Path, text: str, overwrite: bool) -> None:
-    """Write the case beside its place, see whether it is one, and put it there."""
+    """Write the case to a temporary file, check that it is a case, and rename it."""
     compile(text, str(path), "exec")
     trial = None
     try:
@@ -122,12 +122,12 @@ def _write(path: Path, text: str, overwrite: bool) -> None:
 
 
 def described(path: Path, said: Sequence[str]) -> str:
-    """Return what the command prints."""
+    """Return the output of the command."""
     return "\n".join([str(path), *(f"  {plain(line)}" for line in said)])
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     written, said = import_deck(
         path, arguments.output, arguments.values.get("--ignore", ()), "--static" in arguments.flags,
         "--overwrite" in arguments.flags,

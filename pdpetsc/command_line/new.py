@@ -1,8 +1,8 @@
-"""Write a commented case to begin with.
+"""Write a commented case as a starting point.
 
 usage: python -m pdpetsc new FILE.py
 
-Writes a case with comments, a bar that is pulled, to be changed into yours. It runs as it is.
+Writes a case with comments, a bar under tension, for your own changes. It runs as it is.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def case(dx=1.0, stress=100.0):
 
 
 def new(path: Path) -> Path:
-    """Write a case to begin with.
+    """Write a commented case as a starting point.
 
     Raises
     ------
     CaseError
-        The file is there already, does not end in .py, or cannot be written.
+        The file exists, does not end in .py, or cannot be written.
     """
     if path.suffix != ".py":
         raise CaseError(f"A case file ends in .py, and {path} does not.")
@@ -71,6 +71,6 @@ def new(path: Path) -> Path:
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     print(new(path))
     return 0

@@ -2,10 +2,12 @@
 
 usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME] [--animate]
 
-  field, component, scale, step   what colours the deformed body, and how much its displacements are enlarged
+  field, component, scale, step   the field that colours the deformed body, and the factor on its displacements; by
+                                  default those of the case's picture=
   x, y                            columns of history.csv against each other; by default all of them against t
-  --animate                       a film of all steps besides: deformed.gif, or deformed.mp4 with format=mp4
-Writes deformed.png, history.png and newton.png into DIR, and curve.png where the history has a force and a length.
+  --animate                       also a film of all steps: deformed.mp4 if ffmpeg is installed, else deformed.gif;
+                                  format=gif or format=mp4 chooses
+Writes deformed.png, history.png and newton.png into DIR, and curve.png if the history has a force and a length.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import replacing
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.picture import MARK, draw_field, draw_film
+from pdpetsc.output.picture import MARK, draw_field, draw_film, film_format
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 
 COMPONENTS = {"displacement": "x", "stress": "xx", "first_piola_stress": "xx", "deformation_gradient": "xx"}
@@ -37,7 +39,7 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
     given : mapping of str to str
         Words ``name=value`` of the command line.
     animate : bool
-        Whether a film of all steps is made too.
+        If True, also draw a film of all steps.
 
     Raises
     ------
@@ -58,13 +60,17 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
 def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
     summary = read_summary(folder)
     drawn = []
-    kind = given.get("format", "gif")
+    kind = given.get("format") or film_format()
     if kind not in ("gif", "mp4"):
         raise CaseError(f"format takes gif or mp4, not {kind!r}.")
     if (folder / "fields.h5").exists():
-        field = given.get("field") or ("stress" if "stress" in StoredFields(folder).names() else "displacement")
-        component = given.get("component", COMPONENTS.get(field, ""))
-        scale, step = _number(given, "scale", 1.0), _number(given, "step", -1.0)
+        # Of the picture of the case, unless another field is given.
+        stored, shown = StoredFields(folder).names(), summary.get("picture") or {}
+        default = "stress" if "stress" in stored else "displacement"
+        field = given.get("field") or (shown["field"] if shown.get("field") in stored else default)
+        own = shown if field == shown.get("field") else {}
+        component = given.get("component", str(own.get("component", COMPONENTS.get(field, ""))))
+        scale, step = _number(given, "scale", own.get("scale", 1.0)), _number(given, "step", -1.0)
         if "step" in given and (step < 0.0 or step != int(step)):
             raise CaseError(f"step takes the number of a step, not {given['step']}.")
         path = folder / "deformed.png"
@@ -90,7 +96,7 @@ def _number(given: Mapping[str, str], name: str, default: float) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise CaseError(f"{name} takes a number, not {given[name]!r}.")
+        raise CaseError(f"{name} takes a number, not {given.get(name, default)!r}.")
     return number
 
 

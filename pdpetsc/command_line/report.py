@@ -1,8 +1,8 @@
-"""Write the page of a finished or stopped run.
+"""Write a report of a finished or stopped run.
 
 usage: python -m pdpetsc report DIR [field=NAME] [component=xx] [scale=1]
 
-Writes DIR/report.html: what was asked, what came out, convergence, timing, pictures.
+Writes DIR/report.html: case, results, convergence, timing, pictures.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pdpetsc.output.report import write_report
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     given = arguments.parameters
     scale = convert("scale", given.get("scale", "1"), 1.0)
     if not math.isfinite(scale):

@@ -1,4 +1,4 @@
-"""Starting PETSc, and one sentence where it cannot be loaded."""
+"""Start of PETSc, with one message if it cannot be loaded."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PETSC = ["pdpetsc", "-skip_petscrc"]
 # Options of PETSc that name a file of options.
 OPTIONS_FILES = ("options_file", "options_file_yaml")
 
-# What tells that a launcher has started several processes.
+# Environment variables of launchers with the number of processes.
 LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
 def processes_started() -> int:
-    """Return how many processes a launcher says that it has started; 1 where there is none."""
+    """Return the number of processes started by a launcher; 1 without a launcher."""
     return max((whole_number(os.environ.get(name, "")) or 1 for name in LAUNCHED), default=1)
 
 
@@ -35,12 +35,12 @@ def start_petsc(words: Sequence[str] = ()) -> None:
     Raises
     ------
     CaseError
-        A file of options cannot be read, which PETSc says in many lines.
+        A file of options cannot be read.
     RunError
-        petsc4py is not there, or cannot be loaded.
+        petsc4py is not installed, or cannot be loaded.
     """
     for option, value in pairwise([*words, *os.environ.get("PETSC_OPTIONS", "").split()]):
-        # A file may be followed by a word on what PETSc does with it: "q.txt:yaml".
+        # The name of a file may have a suffix for PETSc: "q.txt:yaml".
         files = {value, value.rpartition(":")[0]} - {""}
         if option.lower().lstrip("-") in OPTIONS_FILES and not any(map(os.path.isfile, files)):
             raise CaseError(f"Cannot read the options of PETSc in {value}: no such file.")
@@ -55,7 +55,7 @@ def start_petsc(words: Sequence[str] = ()) -> None:
 
 
 def take_signals(handler: Any = None) -> None:
-    """Let signals raise KeyboardInterrupt or do something else, except those that are ignored, as under nohup."""
+    """Set the handler of signals, by default KeyboardInterrupt, except for ignored ones, as under nohup."""
     with contextlib.suppress(ValueError):  # they are the main thread's
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:
@@ -67,14 +67,14 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def files_of_options(options: Sequence[str]) -> list[str]:
-    """Return the files that PETSc reads options from, with the files that they name."""
+    """Return the files of options that PETSc reads, with the files that they name."""
     found: list[str] = []
     waiting = [*options, *os.environ.get("PETSC_OPTIONS", "").split()]
     while waiting:
         word = waiting.pop(0)
         if word.lower().lstrip("-") not in OPTIONS_FILES or not waiting:
             continue
-        # A file may be followed by a word on what PETSc does with it: "q.txt:yaml".
+        # The name of a file may have a suffix for PETSc: "q.txt:yaml".
         for file in {waiting[0], waiting[0].rpartition(":")[0]} - {"", *found}:
             found.append(file)
             with contextlib.suppress(OSError):

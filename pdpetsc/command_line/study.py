@@ -6,18 +6,18 @@ usage: python -m pdpetsc study CASE.py [NAME=A,B,C ...] [--sets FILE] [-o DIR] [
   NAME=A,B,C       values of a parameter of the case; all combinations are run
   --sets FILE      parameter sets, grids or samples from a .toml, .json or .csv, each with all of these combinations
   -o DIR           folder for study.csv, study.json and a folder per run (default: out/study_CASE)
-  --ranks N        run each on N ranks
-  --jobs N         runs side by side
-  --retry          run again what has failed
-  --order NAME     order of convergence, extrapolated value and error bar as the size NAME gets small; 1/NAME where
-                   NAME counts particles or cells
-  --exact R=V,...  values of results from elsewhere, which orders are then against
-  --expected       take what the case expects as such
-  --picture        draw study.png: every result along a parameter, errors over seconds
-  --launcher TEXT  what starts ranks, with {ranks} where their number goes (default: "mpirun -n {ranks}")
+  --ranks N        ranks of each run
+  --jobs N         parallel runs
+  --retry          repeat failed runs
+  --order NAME     order of convergence, extrapolated value and error bar for the size NAME; 1/NAME if NAME is a
+                   number of particles or cells
+  --exact R=V,...  exact values of results from another source, for the orders
+  --expected       use the expected results of the case as exact values
+  --picture        draw study.png: every result against a parameter, errors against seconds
+  --launcher TEXT  launcher of ranks, with {ranks} for their number (default: "mpirun -n {ranks}")
   --solver NAME    the solver of every run
-Other -options go to PETSc in every run. What DIR already holds is not run again as long as case, parameters, options,
-ranks and pdpetsc are the same: a study that was stopped goes on with the same command.
+Other -options go to PETSc in every run. Finished runs in DIR are not repeated if case, parameters, options, ranks and
+pdpetsc are unchanged: the same command continues a stopped study.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, Refinement, study
 from pdpetsc.studies.table import of_orders, of_runs
 
-# Characters of a line of a table that nobody watches.
+# Line width of tables that are not printed to a terminal.
 WIDTH = 1000
 
 
 def table_console() -> Console:
-    """Return a console that cuts no table where its output goes to a file or a pipe."""
+    """Return a console that does not cut tables in files and pipes."""
     width = None if sys.stdout.isatty() else WIDTH
     return Console(soft_wrap=True, highlight=False, markup=False, width=width)
 
@@ -68,12 +68,12 @@ def numbers_of(text: str, option: str) -> dict[str, float]:
 
 @contextlib.contextmanager
 def watched(arguments: Arguments, folder: Path, title: str, console: Console) -> Iterator[dict[str, Any]]:
-    """Yield the keywords on how to run that ``study`` and ``fit`` share, and show meanwhile how the runs go on.
+    """Yield the keywords for runs that ``study`` and ``fit`` share, and show the progress of the runs.
 
     Raises
     ------
     CaseError
-        A number of ranks or jobs is none.
+        The number of ranks or jobs is invalid.
     Interrupted
         A signal stopped the body.
     """
@@ -93,16 +93,16 @@ def watched(arguments: Arguments, folder: Path, title: str, console: Console) ->
 
 
 def run_study(case: Path, arguments: Arguments, name: str) -> None:
-    """Run a study as its command line asks, and print its table.
+    """Run a study from its command line, and print its table.
 
     Raises
     ------
     CaseError, OutputError
-        As ``study`` does.
+        As for ``study``.
     SolveError
         Runs failed.
     Interrupted
-        It was stopped.
+        The study was stopped.
     """
     sets = grid({key: values_in(text) for key, text in arguments.parameters.items()})
     if (file := arguments.value("--sets")) is not None:
@@ -140,46 +140,46 @@ def run_study(case: Path, arguments: Arguments, name: str) -> None:
 
 
 def _varies(name: str, outcomes: Sequence[Outcome]) -> bool:
-    """Return True if a parameter takes several values, which are all numbers."""
+    """Return True if a parameter has several values and all are numbers."""
     values = {outcome.parameters.get(name, "") for outcome in outcomes}
     return len(values) > 1 and None not in map(real_number, values)
 
 
 class RunLog(Progress):
-    """Prints a line for each run that ends, and moves a bar on a terminal."""
+    """Prints a line for each finished run, and a progress bar on a terminal."""
 
     def __init__(self, bar: Bar, title: str) -> None:
         self._bar, self._task = bar, bar.add_task(title, total=0)
         self._earlier = self._total = 0
 
     def asked(self, count: int) -> None:
-        """Make the bar longer."""
+        """Set the length of the bar."""
         self._total += count
         self._bar.update(self._task, total=self._total)
 
     def again(self, run: PlannedRun, why: str) -> None:
-        """Say why a run is run again."""
+        """Print why a run is repeated."""
         self._bar.console.print(f"{named(run.parameters) or 'the case'} is run again: {why}")
 
     def started(self, run: PlannedRun) -> None:
-        """Say how many earlier runs there are."""
+        """Print the number of earlier runs."""
         if self._earlier:
             self._bar.console.print(f"{self._earlier} runs are there from before")
             self._earlier = 0
 
     def kept(self, outcome: Outcome) -> None:
-        """Move the bar, and count the run."""
+        """Advance the bar, and count the run."""
         self._bar.advance(self._task)
         self._earlier += 1
 
     def ended(self, outcome: Outcome) -> None:
-        """Move the bar, and say how the run ended."""
+        """Advance the bar, and print the outcome of the run."""
         self._bar.advance(self._task)
         how = "finished" if outcome.finished else f"FAILED, exit status {outcome.exit_status}: {outcome.said}"
         self._bar.console.print(f"{outcome.name}: {how}")
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     run_study(path, arguments, "study")
     return 0

@@ -1,4 +1,4 @@
-"""Expressions of decks, such as ``0.001*y*t``: parsed as Python's, checked part by part, never evaluated as code.
+"""Expressions of decks, such as ``0.001*y*t``: parsed as Python, checked node by node, never evaluated as code.
 
 either = both {("|" | "||" | "or") both}
 both = compared {("&" | "&&" | "and") compared}
@@ -41,7 +41,7 @@ _TOKEN = re.compile(
     r"|(?P<mark>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^()<>,&|{};=]))",
     re.ASCII,
 )
-# Functions of decks, as numpy has them, with the number of their arguments.
+# Functions of decks with their names in numpy and numbers of arguments.
 FUNCTIONS: dict[str, tuple[str, int]] = {
     "sin": ("np.sin", 1), "cos": ("np.cos", 1), "tan": ("np.tan", 1), "asin": ("np.arcsin", 1),
     "acos": ("np.arccos", 1), "atan": ("np.arctan", 1), "sinh": ("np.sinh", 1), "cosh": ("np.cosh", 1),
@@ -49,9 +49,9 @@ FUNCTIONS: dict[str, tuple[str, int]] = {
     "sqrt": ("np.sqrt", 1), "abs": ("np.abs", 1), "fabs": ("np.abs", 1), "pow": ("**", 2),
     "min": ("np.minimum", 2), "max": ("np.maximum", 2), "ifelse": ("np.where", 3),
 }  # fmt: skip
-# Those that Peridigm's expressions do not have.
+# Functions that Peridigm does not have.
 _NOT_PERIDIGM = ("abs", "min", "max", "ifelse")
-# Operations as Python writes them; numpy's "and" and "or" are & and |.
+# Operations in Python; "and" and "or" of numpy are & and |.
 _IN_PYTHON = {"^": "**", "&": "and", "&&": "and", "|": "or", "||": "or"}
 _ELEMENTWISE = {ast.And: ast.BitAnd, ast.Or: ast.BitOr}
 _OPERATIONS: dict[type[ast.AST], np.ufunc] = {
@@ -60,7 +60,7 @@ _OPERATIONS: dict[type[ast.AST], np.ufunc] = {
     ast.GtE: np.greater_equal, ast.Eq: np.equal, ast.NotEq: np.not_equal, ast.BitAnd: np.logical_and,
     ast.BitOr: np.logical_or,
 }  # fmt: skip
-# Brackets, signs and powers in each other, and words: a chain of sums is as deep as it has terms.
+# Limits of nested brackets, signs and powers, and of words: a chain of sums is as deep as its terms.
 _DEEPEST, _LONGEST = 60, 400
 
 
@@ -85,11 +85,11 @@ class Expression:
         return _names(self.tree)
 
     def python(self, names: Mapping[str, str]) -> str:
-        """Return it as Python with numpy, with the variables called as ``names`` says."""
+        """Return the expression as Python with numpy, with variables renamed by ``names``."""
         return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda word: names.get(word[0], word[0]), self.code)
 
     def value(self, at: Mapping[str, Any]) -> Any:
-        """Return the number that it is where the variables have these values, or an array of them for arrays."""
+        """Evaluate the expression for values of the variables; arrays for arrays."""
         with np.errstate(all="ignore"):
             return _value(self.tree, {"pi": np.pi, **at})
 
@@ -100,37 +100,37 @@ def parse(text: str, where: str, allowed: set[str]) -> Expression:
     Parameters
     ----------
     text : str
-        The expression; ``value = ...`` and a semicolon at the end do not matter.
+        The expression; ``value = ...`` and a final semicolon are optional.
     where : str
-        What it is of the deck, for messages.
+        Its place in the deck, for messages.
     allowed : set of str
-        Variables that it may have; ``pi`` is the number.
+        Allowed variables; ``pi`` is the number.
 
     Raises
     ------
     CaseError
-        It does not follow the grammar, has another variable or function, or is no number where one is needed.
+        The text does not follow the grammar, has another variable or function, or is not a number.
     """
     return _Parser(text, where, allowed).number()
 
 
 def parse_condition(text: str, where: str, allowed: set[str]) -> Expression:
-    """Parse an expression of PeriLab that is true or false; arguments and errors as of ``parse``."""
+    """Parse a logical expression of PeriLab; arguments and errors as for ``parse``."""
     return _Parser(text, where, allowed).condition()
 
 
 def parse_peridigm(text: str, where: str, allowed: set[str]) -> Expression:
-    """Parse a number of Peridigm, which may be an ``if``; arguments and errors as of ``parse``."""
+    """Parse a number of Peridigm, which may be an ``if``; arguments and errors as for ``parse``."""
     return _PeridigmParser(text, where, allowed).number()
 
 
 def _names(tree: ast.AST) -> set[str]:
-    """Return the variables in a tree, whose functions are names of numpy."""
+    """Return the variables of a tree; functions have names of numpy."""
     return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and not node.id.startswith("np.")}
 
 
 def _value(node: ast.expr, at: Mapping[str, Any]) -> Any:
-    """Return what a checked tree is where the variables have these values."""
+    """Evaluate a checked tree for values of the variables."""
     match node:
         case ast.Name(id=name):
             return at[name]
@@ -147,21 +147,21 @@ def _value(node: ast.expr, at: Mapping[str, Any]) -> Any:
 
 
 def _is_logical(node: ast.expr) -> bool:
-    """Return whether a checked tree is true or false."""
+    """Return True if a checked tree is a logical expression."""
     return isinstance(node, ast.Compare) or (
         isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
     )
 
 
 class _Parser:
-    """Turns the words of an expression into Python's, and checks the tree that Python makes of them."""
+    """Translates the words of an expression to Python, and checks the tree that Python parses."""
 
     functions: ClassVar[Sequence[str]] = list(FUNCTIONS)
     power: ClassVar[Sequence[str]] = ("^", "**")
 
     def __init__(self, text: str, where: str, allowed: set[str]) -> None:
         plain = re.sub(r"\\([{}])", r"\1", text).strip()
-        # Julia's operations on every member of a list are the same as those on one.
+        # Elementwise operations of Julia are translated as scalar ones.
         plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
         self._shown, self._where, self._allowed, self._depth = text, where, allowed | {"pi"}, 0
         self._words: list[str] = []
@@ -173,7 +173,7 @@ class _Parser:
             word = found[str(found.lastgroup)]
             if found["number"] and not math.isfinite(float(word)):
                 raise self._wrong(f"{word[:12]} is no finite number")
-            # Python reads no whole numbers that begin with zeros.
+            # Python does not accept integers with leading zeros.
             self._words.append(word.lstrip("0") or "0" if word.isdecimal() else word)
             if len(self._words) > _LONGEST:
                 raise self._wrong(f"it has more than {_LONGEST} words")
@@ -187,11 +187,11 @@ class _Parser:
         )
 
     def number(self) -> Expression:
-        """Parse all of the text; raises CaseError unless it is a number."""
+        """Parse the whole text; raise CaseError unless it is a number."""
         return self._whole(self._number)
 
     def condition(self) -> Expression:
-        """Parse all of the text; raises CaseError unless it is true or false."""
+        """Parse the whole text; raise CaseError unless it is logical."""
         return self._whole(self._condition)
 
     def _whole(self, checked: Callable[[ast.expr], ast.expr]) -> Expression:
@@ -238,7 +238,7 @@ class _Parser:
             if word == "=" or (word in ("^", "**") and word not in self.power):
                 raise self._wrong(f"{word!r} stands where nothing can")
             if word == "(" and (not words or words[-1] not in self.functions):
-                # A call of no effect, so that the tree tells -(x^2) from -x^2.
+                # A call without effect distinguishes -(x^2) from -x^2 in the tree.
                 words.append("_")
             elif word.isidentifier() and word not in (*self._allowed, "and", "or", *(self.functions if called else ())):
                 raise self._wrong(f"{word}{'()' if called else ''} is not known")
@@ -250,14 +250,14 @@ class _Parser:
     # --- the tree
 
     def _bound(self, tree: ast.expr) -> ast.expr:
-        """Return a tree of Python with operations bound as the program of the deck binds them."""
+        """Return a tree of Python with the operator precedence of the program of the deck."""
         return tree
 
     def _checked(self, node: ast.expr) -> ast.expr:
-        """Return a tree with functions of numpy; refuse everything else that Python has."""
+        """Return a tree with functions of numpy; refuse all other constructs of Python."""
         match node:
             case ast.Constant() | ast.Name():
-                # The words have no other names, and no constants but numbers.
+                # The words have no other names, and only numbers as constants.
                 return node
             case ast.Call(func=ast.Name(id="_"), args=[inner], keywords=[]):
                 return self._checked(inner)
@@ -304,14 +304,14 @@ class _Parser:
         return found
 
     def _finite(self, node: ast.expr) -> ast.expr:
-        """Return a node; refuse constants that are not finite, which Python may compute without end."""
+        """Return a node; refuse constants that are not finite or take too long to compute."""
         if _names(node) <= {"pi"} and not np.isfinite(Expression("", node).value({})):
             raise self._wrong("a part of it is no finite number")
         return node
 
 
 class _PeridigmParser(_Parser):
-    """A sign binds more tightly than a power, and an expression may be an ``if``."""
+    """A parser for Peridigm: a sign binds more tightly than a power, and an expression may be an ``if``."""
 
     functions: ClassVar[Sequence[str]] = [name for name in FUNCTIONS if name not in _NOT_PERIDIGM]
     power: ClassVar[Sequence[str]] = ("^",)

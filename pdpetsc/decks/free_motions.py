@@ -1,4 +1,4 @@
-"""Rigid motions that a deck leaves free: they are held at single particles, without force."""
+"""Supports at single particles, without force, for rigid motions that a deck leaves free."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.script import Given, Script, Where, table_of
 from pdpetsc.errors import CaseError
 
-# A motion is free if the supports resist it by less than this share of the most resisted one, as in a run.
+# A motion is free if supports resist it by less than this share of the most resisted one, as in a run.
 _FREE = 1e-12
 # Loads balance if their work on a free motion is this share of the work that they could do.
 _BALANCED = 1e-9

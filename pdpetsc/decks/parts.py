@@ -1,4 +1,4 @@
-"""Parts of a deck that its programs share: bodies, cracks, materials, influence, damage, history and refusals."""
+"""Translation shared by the programs: bodies, cracks, materials, influence, damage, history and refusals."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pdpetsc.declare.files import Mesh
 from pdpetsc.declare.text_file import TextFile
 from pdpetsc.errors import CaseError
 
-# An edge of a crack is this wide, as a share of its size.
+# Width of the edge of a crack, as a share of its size.
 _EDGE = 1e-9
 
 
 def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
-    """Return the particles of an Exodus mesh, whose unnamed sets decks call ``nodes_n`` and ``blocks_n``."""
+    """Return the particles of an Exodus mesh; unnamed sets are ``nodes_n`` and ``blocks_n`` in decks."""
     mesh = Mesh(path, format="exodus")
     whole = mesh.chunk(0, 1)
     refuse_same_names(whole.sets)
@@ -56,12 +56,12 @@ def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: 
 
 
 def put_cracks(script: Script, discretization: Section) -> None:
-    """Put the bond filters of a deck into the script as cracks.
+    """Add the bond filters of a deck to the script as cracks.
 
     Raises
     ------
     CaseError
-        The families of the deck are boxes, which have no filters.
+        The families of the deck are boxes, which do not support filters.
     """
     if "Bond Filters" not in discretization.sections:
         return
@@ -72,21 +72,21 @@ def put_cracks(script: Script, discretization: Section) -> None:
 
 
 def cracks(section: Section, x: Float) -> list[str]:
-    """Return the cracks of bond filters as code; their names have blanks or underscores.
+    """Return the cracks of bond filters as code; names may have blanks or underscores.
 
-    Bonds through the edge of a rectangle are cut and those through the rim of a disc are not, as in Peridigm.
+    Bonds through the edge of a rectangle are cut, bonds through the rim of a disc are not, as in Peridigm.
 
     Parameters
     ----------
     section : Section
         The filters.
     x : (n, dim) float64
-        Where the particles are [length].
+        Positions of the particles [length].
 
     Raises
     ------
     CaseError
-        One is neither rectangle nor disc, or not flat, or particles lie on its plane.
+        A filter is neither rectangle nor disc, or not flat, or particles are on its plane.
     """
     found, dim = [], x.shape[1]
     for one in section.sections.values():
@@ -134,7 +134,7 @@ def cracks(section: Section, x: Float) -> list[str]:
 
 
 def _refuse_on_plane(one: Section, x: Float, point: Float, normal: Float) -> None:
-    """Raise CaseError where particles lie on the plane of a crack: which of their bonds it cuts nobody knows."""
+    """Raise CaseError if particles are on the plane of a crack: the cut bonds are then undefined."""
     extent = max(float(np.ptp(x, axis=0).max()), 1e-300)
     on = np.flatnonzero(np.abs((x - point) @ normal) <= _EDGE * extent)
     if len(on):
@@ -149,7 +149,7 @@ def _point(point: Float) -> str:
 
 
 def note_ties(script: Script) -> None:
-    """Note bonds that are as long as the horizon within rounding, which families of a grid of the deck have not."""
+    """Note bonds that are as long as the horizon within rounding; families of a grid of the deck exclude them."""
     if script.body.families is not None:
         return
     every, count = scipy.spatial.cKDTree(script.body.x), 0
@@ -165,12 +165,12 @@ def note_ties(script: Script) -> None:
 
 
 def reads_influence(script: Script, section: Section) -> bool:
-    """Return True if the materials read the influence function of the deck, and note it as left out otherwise.
+    """Return True if the materials use the influence function of the deck; otherwise note it as omitted.
 
     Raises
     ------
     CaseError
-        Some of the materials read it and others do not.
+        Some of the materials use it and others do not.
     """
     without = {"pd.BondBased(" in code for _, code in script.material}
     place = section.entries["Influence Function"].place
@@ -194,7 +194,7 @@ def single_horizon(horizons: set[float], place: str) -> float:
 
 
 def own_influence(script: Script, body: str, length: str, scale: float) -> None:
-    """Put an influence function into the script: Python of a length, which is ``scale`` times bond over horizon."""
+    """Add an influence function to the script: Python of a length, equal to ``scale`` times bond over horizon."""
     script.arguments["influence"] = "OwnInfluence()"
     script.body.helpers += [
         *([""] * 2 if script.body.helpers else []),
@@ -212,26 +212,26 @@ def damage_by_block(
     materials: str,
     critical: Callable[[str, Section], float],
 ) -> None:
-    """Put the damage of blocks into the script.
+    """Add the damage of blocks to the script.
 
     Parameters
     ----------
     script : Script
-        Where to, with the horizons of the blocks.
+        The script, with the horizons of the blocks.
     models : Section, optional
         The damage models of the deck.
     blocks : sequence of (Where, str)
         The particles of each block and the name of its damage model; empty for a block without one.
     materials : str
-        The materials whose bonds can break, for messages.
+        Names of the materials with breaking bonds, for messages.
     critical : callable
-        The critical stretch of a model by its name and section.
+        Returns the critical stretch of a model from its name and section.
 
     Raises
     ------
     CaseError
-        A model is unknown, or blocks of different models share bonds: the program of the deck breaks them from one
-        end alone.
+        A model is unknown, or blocks of different models share bonds, which the program of the deck breaks from one end
+        only.
     """
 
     def law(name: str) -> str:
@@ -284,7 +284,7 @@ def elastic_constants(section: Section) -> tuple[float, float]:
     Raises
     ------
     CaseError
-        There are not two of them, or no material has these.
+        There are not two constants, or they do not define a material.
     """
     names = ("Bulk Modulus", "Shear Modulus", "Young's Modulus", "Poisson's Ratio")
     given = {name: section.number(name) for name in names if name in section.entries}
@@ -316,7 +316,7 @@ def elastic_constants(section: Section) -> tuple[float, float]:
 
 
 def refuse_steps(solver: Section, count: int, first: float, last: float) -> None:
-    """Raise CaseError unless a solver has load steps, not too many, between times that ascend."""
+    """Raise CaseError unless a solver has load steps, not too many, between ascending times."""
     if not 1 <= count <= MOST_STEPS or not last > first:
         raise CaseError(
             f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}; it needs 1 to {MOST_STEPS} of "
@@ -325,7 +325,7 @@ def refuse_steps(solver: Section, count: int, first: float, last: float) -> None
 
 
 def refuse_unknown(root: Section) -> None:
-    """Raise CaseError where an entry of the deck has neither been read nor noted."""
+    """Raise CaseError if an entry of the deck has neither been read nor noted."""
     left = root.unread()
     if left:
         more = ", ".join(one.path for one in left[1:6]) + (", ..." if len(left) > 6 else "")
@@ -336,7 +336,7 @@ def refuse_unknown(root: Section) -> None:
 
 
 def refuse_same_names(names: Iterable[str]) -> None:
-    """Raise CaseError where two sets of a deck have names that are the same without blanks and capitals."""
+    """Raise CaseError if names of two sets of a deck are equal without blanks and case."""
     found: dict[str, str] = {}
     for name in names:
         if tidy(name) in found:
@@ -362,12 +362,12 @@ class Law:
 
 
 def put_gradients(script: Script, laws: Sequence[Law]) -> None:
-    """Put the scheme and the control of the materials into the script.
+    """Add the scheme and the control of the materials to the script.
 
     Raises
     ------
     CaseError
-        The materials of the blocks share no body.
+        The materials of the blocks cannot be in one body.
     """
     kinds, controls = {law.kind for law in laws}, {law.control for law in laws}
     if len(kinds) > 1:
@@ -396,7 +396,7 @@ def horizon_of(block: Section) -> float:
 
 
 def histories(script: Script, root: Section, force: str, displacement: str) -> None:
-    """Add forces of blocks and displacements of points to the history; note everything else of compute classes.
+    """Add forces of blocks and displacements of points to the history; note other compute classes.
 
     ``force`` and ``displacement`` are the variables of the program of the deck.
     """
@@ -414,7 +414,7 @@ def _history(script: Script, one: Section, force: str, displacement: str) -> Non
     if kind == "Block_Data" and variable == force and one.peek("Calculation Type") == "Sum":
         where = script.body.block(one.text("Block"), one.place)
         for axis in axes:
-            # Support forces, the opposite of the internal forces that the deck sums up.
+            # Support forces, the negative of the internal forces that the deck sums.
             script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'
         script.notes.differs("Forces of blocks in the history are support forces, the opposite of internal forces.")
         taken = ("Compute Class", "Variable", "Calculation Type", "Output Label")

@@ -1,6 +1,6 @@
 """Peridigm's decks: parameter lists in YAML or XML.
 
-What the entries mean is Peridigm's source, version 1.5 of August 2023: ``src/materials``, ``src/core`` and ``src/io``.
+The meaning of entries follows the source of Peridigm 1.5, August 2023: ``src/materials``, ``src/core`` and ``src/io``.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from pdpetsc.decks.sections import Section
 from pdpetsc.errors import CaseError
 
 PROGRAM = "Peridigm"
-# Entries that every material may have and that have no part in a static answer.
+# Entries of every material without effect on a static solution.
 _OF_MOTION = ("Density",)
-# What a quasi-static solver is tuned with.
+# Tuning parameters of a quasi-static solver.
 _TUNING = (
     "Verbose", "Absolute Tolerance", "Relative Tolerance", "Maximum Solver Iterations", "Max Solver Iterations",
     "Belos Linear Solver",
@@ -38,7 +38,7 @@ _TUNING = (
     "Linear Solver", "Aztec Preconditioner", "Output", "Trust Region", "Reset Counters", "Solver Options",
 )  # fmt: skip
 _EXPANSION = "Thermal Expansion Coefficient"
-# The materials that expand; the others either do not read the coefficient, or refuse it.
+# Materials with thermal expansion; the others ignore or refuse the coefficient.
 _EXPANDING = ("Elastic", "Elastic Partial Volume", "Elastic Correspondence")
 _OF_SOLVERS = ("Verbose", "Peridigm Preconditioner", "Initialize Predictor From Previous Solver", "Solver Specific")
 _OF_OUTPUT = ("Verbose", "Save Restart")
@@ -100,7 +100,7 @@ def _body(section: Section, conditions: Section | None, deck: Deck) -> Body:
 
 
 def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | list[int]]:
-    """Return the node sets that a deck has by numbers or files, beside its boundary conditions."""
+    """Return the node sets of a deck by numbers or files; they are among its boundary conditions."""
     found: dict[str, Path | list[int]] = {}
     for name in () if conditions is None else list(conditions.entries):
         if "NODE_SET" not in tidy(name):
@@ -117,11 +117,11 @@ def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | l
 
 
 def _blocks(script: Script, root: Section) -> None:
-    """Put materials, horizons and what goes with them into the script."""
+    """Add materials, horizons and related declarations to the script."""
     materials = root.section("Materials")
     models, left = root.sections.get("Damage Models"), np.ones(len(script.body.x), dtype=bool)
     groups = list(root.section("Blocks").sections.values())
-    # The default block is what the others leave.
+    # The default block has the particles of no other block.
     groups.sort(key=lambda group: group.text("Block Names").lower() == "default")
     laws, used, horizons = list[parts.Law](), set[str](), list[float]()
     damages = list[tuple[Where, str, Section]]()
@@ -164,7 +164,7 @@ def _is_block(name: str) -> bool:
 
 
 def _radius(script: Script, horizon: float) -> float:
-    """Return the radius of the families of a block, and declare what else bounds them."""
+    """Return the radius of the families of a block, and declare other limits of them."""
     if script.body.families is None:
         return horizon
     radius, box = script.body.families(horizon)
@@ -181,12 +181,12 @@ def _radius(script: Script, horizon: float) -> float:
 
 
 def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None:
-    """Put the influence function into the script; ``horizons`` are those of the deck, block by block [length]."""
+    """Add the influence function to the script; ``horizons`` are those of the deck, by block [length]."""
     section = root.section("Discretization")
     text = section.text("Influence Function", "One")
     if text == "One" or not parts.reads_influence(script, section):
         return
-    # Only families of a grid, which has one block, have another radius than their horizon.
+    # Only families of a grid, with one block, have a radius different from the horizon.
     widened = script.horizon[0][1] / horizons[0]
     if text == "Parabolic Decay":
         parts.own_influence(script, "np.where(z < 0.5, 1.0, np.maximum(4.0 * z * (1.0 - z), 0.0))", "z", widened)
@@ -203,7 +203,7 @@ def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None
 def _material(section: Section, script: Script, widened: float) -> parts.Law:
     """Translate a material.
 
-    ``widened`` is the radius of families over the horizon of the deck: micromoduli fall with its fourth power [-].
+    ``widened`` is the radius of families over the horizon of the deck [-]: micromoduli decrease with its fourth power.
     """
     model = section.text("Material Model")
     script.notes.leave_out(
@@ -239,7 +239,7 @@ def _material(section: Section, script: Script, widened: float) -> parts.Law:
                 f"expand; leave it out with --ignore {section.entries[_EXPANSION].path!r}."
             )
         expansion = section.number(_EXPANSION)
-        # Temperatures are counted from those at the beginning, as Peridigm does.
+        # Temperatures are relative to the initial ones, as in Peridigm.
         found = f"pd.Thermal({found}, expansion={expansion!r}, reference=0.0)"
         script.notes.differs(
             "Thermal strain multiplies the stretch, 1 + alpha dT; Peridigm adds it to the rate of deformation, which "
@@ -279,7 +279,7 @@ def _law(model: str, section: Section, script: Script, widened: float) -> str | 
 
 
 def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
-    """Raise CaseError unless the stretch that breaks bonds is without the strain by which all materials expand."""
+    """Raise CaseError unless the critical stretch excludes the thermal strain of all materials."""
     own = damage.number(_EXPANSION, 0.0)
     for material in materials:
         other = material.number(_EXPANSION, 0.0)
@@ -291,7 +291,7 @@ def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
 
 
 def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str, Section]]) -> None:
-    """Put the damage of blocks into the script; each has its particles, the name of its model and its material."""
+    """Add the damage of blocks to the script; each has its particles, the name of its model and its material."""
     names = {name for _, name, _ in blocks}
     for name, section in ({} if models is None else models.sections).items():
         if name not in names:
@@ -332,7 +332,7 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
         where = script.body.node_set(set_name, one.place)
-        # Displacements are counted from the beginning, changes of temperature from time 0.
+        # Displacements are relative to the beginning, changes of temperature to time 0.
         since = {"Prescribed Displacement": script.times.first, "Prescribed Temperature": 0.0}.get(kind)
         given = Given(known[kind], axis, where, value, one.place, since)
         if kind == "Prescribed Temperature" and "t" not in value.names:

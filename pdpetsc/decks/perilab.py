@@ -1,6 +1,6 @@
 """PeriLab's decks: YAML under ``PeriLab:``.
 
-What the entries mean is PeriLab's source of August 2026: ``src/Models``, ``src/Core/Solver`` and ``src/IO``.
+The meaning of entries follows the source of PeriLab, August 2026: ``src/Models``, ``src/Core/Solver`` and ``src/IO``.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _TUNING = (
     "Matrix Update", "Update Matrix", "Safety Factor", "Fixed dt", "NLSolve", "Maximum number of iterations",
     "Show solver iteration", "Residual tolerance", "Solution tolerance", "Residual scaling", "Linear Start Value", "m",
 )  # fmt: skip
-# Which models a deck may switch on in its solver; those of materials are on where it does not say.
+# Models that a deck may activate in its solver; material models are active by default.
 _SWITCHES = ("Material Models", "Damage Models", "Thermal Models")
 _OTHER_SWITCHES = ("Additive Models", "Degradation Models", "Pre Calculation Models", "Corrosion Models")
-# Columns of meshes that models read which are refused anyway.
+# Mesh columns of models that are refused anyway.
 _UNUSED_COLUMNS = ("activation_time", "time")
 _NO_PART = "has no counterpart here"
 
@@ -108,7 +108,7 @@ def _body(section: Section, deck: Deck) -> Body:
             )
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
-    # Whether z is there says whether the body is plane.
+    # A body without z is plane.
     dim: Literal[2, 3] = 3 if TextFile(path).has("z") else 2
     places = TextFile(path, dim=dim).chunk(0, 1).x
     chosen: dict[str, Mask] = {}
@@ -134,7 +134,7 @@ def _body(section: Section, deck: Deck) -> Body:
 
 
 def _numbers(place: str, text: str, count: int) -> list[int] | None:
-    """Return the particle numbers that a text lists or bounds, as ``1:5``, None if it has other words."""
+    """Return the particle numbers of a list or a range such as ``1:5``; None if the text has other words."""
     bounds = [whole_number(word.strip()) for word in text.split(":")]
     if len(bounds) == 2 and bounds[0] is not None and bounds[1] is not None:
         if not 1 <= bounds[0] <= bounds[1] <= count:
@@ -148,7 +148,7 @@ def _numbers(place: str, text: str, count: int) -> list[int] | None:
 
 
 def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
-    """Put materials, horizons and what goes with them into the script.
+    """Add materials, horizons and related declarations to the script.
 
     Return the particles whose stress-free temperature is not zero (n,).
     """
@@ -168,7 +168,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
     for block in root.section("Blocks").sections.values():
         number = block.whole("Block ID")
         if tidy(f"block_{number}") not in script.body.called:
-            # A block without particles, which other meshes of the same deck have.
+            # A block without particles in this mesh.
             script.notes.leave_out_all(block)
             continue
         where = script.body.block(f"block_{number}", block.place)
@@ -205,7 +205,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
 
 
 def _refuse_off(block: Section, solver: Section, on: dict[str, bool], script: Script) -> None:
-    """Leave out models of a block that are off; raises CaseError where the solver does not say whether they are."""
+    """Omit inactive models of a block; raise CaseError if the solver does not declare them active or not."""
     for switch in ("Damage Models", "Thermal Models"):
         name = switch.removesuffix("s")
         if name not in block.entries or on[switch]:
@@ -219,7 +219,7 @@ def _refuse_off(block: Section, solver: Section, on: dict[str, bool], script: Sc
 
 
 def _plane(section: Section, script: Script) -> str:
-    """Return what a plane body is held by, as an argument."""
+    """Return the constraint of a plane body, as an argument."""
     symmetry = section.text("Symmetry", "isotropic").lower()
     for word in ("anisotropic", "orthotropic", "transverse"):
         if word in symmetry:
@@ -271,7 +271,7 @@ def _material(section: Section, script: Script, solver: Section) -> parts.Law:
 
 
 def _bond_based_modulus(section: Section, script: Script) -> float:
-    """Return Young's modulus with the fixed Poisson's ratio that PeriLab takes, 1/3 of every plane body."""
+    """Return Young's modulus with the fixed Poisson's ratio of PeriLab, 1/3 for every plane body."""
     nu = 1.0 / 3.0 if script.body.dim == 2 else 0.25
     given = {n: section.number(n) for n in ("Young's Modulus", "Shear Modulus", "Bulk Modulus") if n in section.entries}
     if "Poisson's Ratio" in section.entries and abs(section.number("Poisson's Ratio") - nu) > 1e-3:
@@ -283,7 +283,7 @@ def _bond_based_modulus(section: Section, script: Script) -> float:
         "Shear Modulus": 2.0 * given.get("Shear Modulus", 0.0) * (1.0 + nu),
         "Young's Modulus": given.get("Young's Modulus", 0.0),
     }
-    # The first that is given counts, as in PeriLab.
+    # The first one is used, as in PeriLab.
     for name, E in by.items():
         if name in given:
             if len(given) > 1:
@@ -305,7 +305,7 @@ def _thermal(section: Section, law: parts.Law, script: Script) -> str:
         )
     expansion = section.number("Thermal Expansion Coefficient")
     reference = section.number("Reference Temperature", 0.0)
-    # What other thermal models read; this one does not.
+    # Entries of other thermal models, not used by this one.
     script.notes.leave_out(
         section, "Environmental Temperature", "Heat Transfer Coefficient", "Thermal Conductivity",
         "Thermal Conductivity Print Bed", "Print Bed Temperature", "Print Bed Y Coordinate",
@@ -328,7 +328,7 @@ def _influence(script: Script, section: Section) -> None:
 
 
 def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str]]) -> None:
-    """Put the damage of blocks into the script; each has its particles and the name of its model."""
+    """Add the damage of blocks to the script; each has its particles and the name of its model."""
 
     def critical(name: str, section: Section) -> float:
         if section.flag("Only Tension", True) is False:

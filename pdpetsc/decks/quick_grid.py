@@ -1,6 +1,6 @@
-"""PdQuickGrid of Peridigm: particles in the middles of the cells of a box, with families of its own.
+"""PdQuickGrid of Peridigm: particles in the middles of the cells of a box, with special families.
 
-What the entries mean is Peridigm's ``QuickGrid.cxx`` and ``PdQuickGridDiscretization.cpp``.
+The meaning of entries follows Peridigm's ``QuickGrid.cxx`` and ``PdQuickGridDiscretization.cpp``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pdpetsc.decks.sections import Section
 from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError
 
-# Lengths that differ by less than this share are the same within the rounding of coordinates.
+# Lengths that differ by less than this share are equal within the rounding of coordinates.
 _SAME = 1e-9
 _MOST = 1e7
 _GRID = [
@@ -36,7 +36,7 @@ def grid_body(section: Section, sets: dict[str, Path | list[int]]) -> Body:
     Raises
     ------
     CaseError
-        The grid is no box of cells, or a node set is in a file or names particles that the grid has not.
+        The grid is not a box of cells, or a node set is in a file or names missing particles.
     """
     given = section.section("TensorProduct3DMeshGenerator")
     given.text("Type", "PdQuickGrid")
@@ -68,7 +68,7 @@ def grid_body(section: Section, sets: dict[str, Path | list[int]]) -> Body:
         code.append(f"particles = pd.Arrays(x, volume, {{{entries[0]}}})")
     else:
         code += ["sets = {", *(f"    {entry}," for entry in entries), "}", "particles = pd.Arrays(x, volume, sets)"]
-    # Whatever else Peridigm finds there leaves boxes.
+    # All other words result in boxes in Peridigm.
     spherical = section.text("NeighborhoodType", "") == "Spherical"
     spacing = [size / n for size, n in zip(length, count, strict=True)]
     families = partial(families_of_grid, spacing, count, spherical)
@@ -81,10 +81,10 @@ def grid_body(section: Section, sets: dict[str, Path | list[int]]) -> Body:
 def families_of_grid(
     spacing: Sequence[float], count: Sequence[int], spherical: bool, horizon: float
 ) -> tuple[float, tuple[float, ...]]:
-    """Return the radius of the families of a PdQuickGrid, and the box that cuts them where a ball cannot be theirs.
+    """Return the radius of the families of a PdQuickGrid, and their box if they are not balls.
 
     The family of a particle is the box of cells ``|k_a| <= n_a``, with ``n_a`` the horizon over the spacing along axis
-    ``a``, rounded to the nearest whole number; of a spherical one the cells in it that are nearer than the horizon.
+    ``a``, rounded to the nearest whole number; a spherical family has only the cells nearer than the horizon.
 
     Parameters
     ----------
@@ -93,16 +93,16 @@ def families_of_grid(
     count : sequence of int
         Cells along each axis.
     spherical : bool
-        Whether the neighbourhoods are spherical.
+        True for spherical neighbourhoods.
     horizon : float
-        That of the deck [length].
+        Horizon of the deck [length].
 
     Returns
     -------
     radius : float
-        The horizon if the ball holds the family alone, otherwise the longest bond of the family [length].
+        The horizon if the ball contains only the family, otherwise the longest bond of the family [length].
     box : tuple of float
-        Half sizes of a box [length] beyond which no bond of the family ends; empty if the ball is enough.
+        Half sizes of a box [length] that contains the family; empty if the ball is sufficient.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def families_of_grid(
         No particle has a neighbour.
     """
     cells = [math.floor(min(horizon / h, float(n)) + 0.5) for h, n in zip(spacing, count, strict=True)]
-    # Bonds outside the family that may be as short as those in it.
+    # Bonds outside the family may be as short as bonds in it.
     far = horizon if spherical else math.hypot(*(n * h for n, h in zip(cells, spacing, strict=True)))
     steps = [np.arange(min(n - 1, int(min(far / h, float(n))) + 1) + 1) for h, n in zip(spacing, count, strict=True)]
     squares = [(k * h) ** 2 for k, h in zip(steps, spacing, strict=True)]
@@ -131,7 +131,7 @@ def families_of_grid(
 
 
 def families_code(box: Sequence[float]) -> list[str]:
-    """Return a class of the case file that leaves out the bonds beyond a box."""
+    """Return a class of the case file that excludes bonds beyond a box."""
     return [
         "class BeyondBox(Crack):",
         '    """Bonds that leave the families of Peridigm\'s PdQuickGrid, boxes of whole cells."""',

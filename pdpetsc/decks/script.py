@@ -1,4 +1,4 @@
-"""What a deck becomes: a body, what is done to it, notes on what has no counterpart, and the text of a case file."""
+"""The translated deck: body, conditions, notes on entries without counterpart, and the text of a case file."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from pdpetsc.decks.expressions import Expression
 from pdpetsc.decks.sections import Entry, Section
 from pdpetsc.errors import CaseError
 
-# Lines of a written file are at most this long.
+# Largest line length of a written file.
 _WIDTH = 116
-# Load steps of a deck in time that is solved statically.
+# Load steps of a dynamic deck that is solved statically.
 STATIC_STEPS = 10
-# Lengths that differ by less than this share are the same within rounding.
+# Lengths that differ by less than this share are equal within rounding.
 TIE = 1e-9
 _COORDINATES = {"x": "x[:, 0]", "y": "x[:, 1]", "z": "x[:, 2]", "pi": "np.pi"}
 
 
 @dataclass(frozen=True)
 class Where:
-    """Particles: how a case calls them, and which they are (n,)."""
+    """A selection of particles: its code in a case, and its mask (n,)."""
 
     code: str
     mask: Mask
 
     def without(self, other: Where) -> Where:
-        """Return those that are not among the others."""
+        """Return the particles that are not in another selection."""
         return Where(f"{_bracketed(self.code)} & ~{_bracketed(other.code)}", self.mask & ~other.mask)
 
     def __or__(self, other: Where) -> Where:
@@ -57,13 +57,13 @@ class Given:
     axis : str
         Its component, or nothing.
     where : Where
-        Of which particles.
+        The particles.
     value : Expression
-        What it is, of x, y, z and the time t of the deck.
+        Value as a function of x, y, z and the time t of the deck.
     place : str
-        Where it is in the deck.
+        Its place in the deck.
     since : float, optional
-        The time of the deck whose value is taken off.
+        The time of the deck whose value is subtracted.
     """
 
     kind: str
@@ -81,21 +81,21 @@ class Body:
     Attributes
     ----------
     code : list of str
-        Lines that make ``particles``.
+        Lines that define ``particles``.
     helpers : list of str
         Functions of the file that these lines call.
     x : (n, dim) float64
-        Where they are [length].
+        Positions [length].
     sets : mapping of str to (n,) bool
-        Sets by the names that the case has for them.
+        Sets by their names in the case.
     called : mapping of str to str
-        Those names by the ones of the deck.
+        Names in the case by names in the deck.
     regions : mapping of str to str
-        Code of the sets that are no sets of the particles.
+        Code of sets that are not sets of the particles.
     of_nodes : mapping of str to str
-        As ``called``, for node sets whose name a block has too.
+        As ``called``, for node sets with the name of a block.
     families : callable, optional
-        The radius of families and the half sizes of the box that cuts them at a horizon of the deck [length], if
+        Returns the radius of families and the half sizes of their box for a horizon of the deck [length]; only if
         families are not all particles within the horizon.
     volume : (n,) float64
         Volumes of the particles [length^3].
@@ -133,29 +133,29 @@ class Body:
 
 
 def quoted(text: str) -> str:
-    """Return a text as Python has it between double quotes."""
+    """Return a text as a Python string in double quotes."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def tidy(name: str) -> str:
-    """Return a name as Peridigm compares it: without blanks around, with underscores, in capitals."""
+    """Return a name as compared by Peridigm: stripped, with underscores, in capitals."""
     return "_".join(name.split()).upper()
 
 
 @dataclass
 class Notes:
-    """What is said of a deck in the file.
+    """Notes on a deck in the case file.
 
     Attributes
     ----------
     differences : list of str
-        Where this program computes something else than the one of the deck.
+        Differences between this program and the program of the deck.
     left_out : list of Entry
-        Entries that only say what is written or how a solver is tuned.
+        Entries that only select output or tune a solver.
     ignored : list of str
-        Entries that were ignored because it was asked for.
+        Entries ignored on request.
     columns : dict of str to bool
-        Names to ignore that no entry has, in small letters: they may be columns of the mesh; true where one is.
+        Ignored names without an entry, in lower case: they may be columns of the mesh; true if they are.
     """
 
     differences: list[str] = field(default_factory=list)
@@ -169,7 +169,7 @@ class Notes:
             self.differences.append(sentence)
 
     def leave_out(self, section: Section, *names: str) -> None:
-        """Note entries and sections of these names, as far as they are there, as output or tuning."""
+        """Note existing entries and sections of these names as output or tuning."""
         for name in names:
             if name in section.entries:
                 self._note(section.entries[name])
@@ -177,7 +177,7 @@ class Notes:
                 self.leave_out_all(section.sections[name])
 
     def leave_out_all(self, section: Section) -> None:
-        """Note all of a section that has not been read."""
+        """Note all unread entries of a section."""
         for entry in section.leaves():
             self._note(entry)
 
@@ -196,13 +196,13 @@ class Deck:
     path : Path
         The file.
     root : Section
-        What it holds, without what is to be ignored.
+        Its contents, without ignored entries.
     notes : Notes
-        Where differences and what is left out are noted.
+        Notes on differences and omitted entries.
     folder : Path
-        Where the case file will be.
+        Folder of the case file.
     static : bool
-        Whether a deck in time is solved statically.
+        If True, a dynamic deck is solved statically.
     """
 
     path: Path
@@ -212,12 +212,12 @@ class Deck:
     static: bool
 
     def leave_out_inertia(self, solver: Section) -> None:
-        """Note that a solver in time becomes a static one.
+        """Note that a dynamic solver becomes a static one.
 
         Raises
         ------
         CaseError
-            The deck is not to be solved statically.
+            A static solution was not requested.
         """
         if not self.static:
             raise CaseError(
@@ -263,11 +263,11 @@ class Times:
 
     @property
     def code(self) -> str:
-        """Return what the time of the deck is called in the file."""
+        """Return the name of the time of the deck in the file."""
         return "t" if self._even and (self.first, self.last) == (0.0, 1.0) else "time(t)"
 
     def lines(self) -> list[str]:
-        """Return the function of the file that gives the time of the deck at a step time."""
+        """Return the function of the file that computes the time of the deck from the load parameter."""
         if self.code == "t":
             return []
         if self._even:
@@ -281,7 +281,7 @@ class Times:
 
 @dataclass
 class Script:
-    """All that a deck says, as a case needs it."""
+    """The contents of a deck for a case."""
 
     deck: Path
     program: str
@@ -352,7 +352,7 @@ class Script:
         return "\n".join(lines) + ("\n" if lines else "")
 
     def _left_out(self) -> list[str]:
-        """Return what is left out, a line for each section of the deck."""
+        """Return the omitted entries, one line per section of the deck."""
         found: dict[str, list[str]] = {}
         for entry in self.notes.left_out:
             section, _, name = entry.path.rpartition("/")
@@ -360,7 +360,7 @@ class Script:
         return [f"{section}: {'; '.join(entries)}" for section, entries in found.items()]
 
     def _part_overlaps(self) -> None:
-        """Let the last of two values of one component of a particle hold, as in the deck; body forces do not add up."""
+        """Keep the last of two values of one component of a particle, as in the deck; body forces are not added."""
         for later in range(len(self.given)):
             for earlier in range(later):
                 one, other = self.given[earlier], self.given[later]
@@ -382,7 +382,7 @@ class Script:
             value = float(given.value.value({}))
             if not math.isfinite(value):
                 raise CaseError(f"{given.place} of the deck is not a number.")
-            # The deck jumps to a value that does not change; a number of a case would grow with the step time.
+            # The deck jumps to a constant value; a number in a case would grow with the load parameter.
             hold = "" if value == 0.0 and given.kind != "Temperature" else ", schedule=pd.Hold()"
             return [comment, f"pd.{given.kind}({given.where.code}, {component}{value!r}{hold}),"]
         values = table_of(given, self.body, self.times.values)
@@ -390,7 +390,7 @@ class Script:
         if given.since is not None and "t" in names and table_of(given, self.body, [given.since]).any():
             if given.kind == "Displacement":
                 _refuse_rests(given, values, self.times)
-            # In brackets, since a negative number before a power would lose its sign.
+            # In brackets, because a negative number before a power would lose its sign.
             at = repr(given.since) if given.since >= 0.0 else f"({given.since!r})"
             code = f"{code} - ({given.value.python({**_COORDINATES, 't': at})})"
             self.notes.differs(f"{given.place} counts from its value at time {given.since:g}, as {self.program} does.")
@@ -403,7 +403,7 @@ class Script:
         return repr(lengths.pop()) if len(lengths) == 1 else "by_block(particles, HORIZONS)"
 
     def _by_block(self) -> list[str]:
-        """Return the function that gives every particle the horizon of its block, where they differ."""
+        """Return the function for the horizon of the block of every particle, if horizons differ."""
         if len({length for _, length in self.horizon}) == 1:
             return []
         named = {part.strip().removeprefix("pd.region.Named(").removesuffix(")").strip('"'): length
@@ -429,12 +429,12 @@ class Script:
 
 
 def table_of(given: Given, body: Body, times: Sequence[float]) -> Float:
-    """Return what a condition is at times of the deck and at each of its particles (n_times, n).
+    """Return the values of a condition at times of the deck for each of its particles (n_times, n).
 
     Raises
     ------
     CaseError
-        It is not a number there, or has a coordinate that the body has not.
+        A value is not a number, or the expression has a coordinate that the body does not have.
     """
     beyond = sorted((given.value.names & set("xyz")) - set("xyz"[: body.dim]))
     if beyond:
@@ -449,9 +449,9 @@ def table_of(given: Given, body: Body, times: Sequence[float]) -> Float:
 
 
 def _refuse_rests(given: Given, values: Float, times: Times) -> None:
-    """Raise CaseError where Peridigm does not count a displacement from its value at the beginning throughout.
+    """Raise CaseError if Peridigm does not treat a displacement as relative to its initial value throughout.
 
-    It adds up what the values (n_times, n) change by; where one does not change it goes to the value itself.
+    Peridigm adds the changes of the values (n_times, n), but sets the value itself if it does not change.
     """
     u = np.zeros_like(values[0])
     for step in range(1, len(values)):
@@ -495,7 +495,7 @@ def _wrapped(text: str, indent: str) -> list[str]:
 
 
 def plain(text: str) -> str:
-    """Return a text of the deck without what would end a comment or a docstring."""
+    """Return a text of the deck without characters that would end a comment or a docstring."""
     return "".join(c if c.isprintable() else " " for c in text).replace("\\", "/").replace('"""', "'''")
 
 

@@ -1,4 +1,4 @@
-"""A deck as a tree of sections and entries, each with its place, which remembers what has been read of it."""
+"""A deck as a tree of sections and entries with their places; it records which entries have been read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Entry:
 
     @property
     def place(self) -> str:
-        """Return where it is, for messages."""
+        """Return its place in the deck, for messages."""
         return f"{self.path} (line {self.line})"
 
 
@@ -39,11 +39,11 @@ class Section:
     Attributes
     ----------
     path : str
-        The names that lead here, with slashes between them.
+        Names of the enclosing sections and its own, with slashes between them.
     line : int
-        Where it begins, from 1 on.
+        Its first line, from 1 on.
     entries, sections : dict
-        What it holds by name, in the order of the deck.
+        Its contents by name, in the order of the deck.
     """
 
     path: str
@@ -53,7 +53,7 @@ class Section:
 
     @property
     def place(self) -> str:
-        """Return where it is, for messages."""
+        """Return its place in the deck, for messages."""
         return f"{self.path or 'the deck'} (line {self.line})"
 
     @property
@@ -65,13 +65,13 @@ class Section:
         return name in self.entries or name in self.sections
 
     def section(self, name: str) -> Section:
-        """Return a section; raises CaseError where there is none."""
+        """Return a section; raise CaseError if it is missing."""
         if name not in self.sections:
             raise CaseError(f"{self.place} of the deck has no section {name!r}.")
         return self.sections[name]
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Return an entry as text; raises CaseError where there is neither entry nor default."""
+        """Return an entry as text; raise CaseError if there is neither entry nor default."""
         if name not in self.entries:
             if default is None:
                 raise CaseError(f"{self.place} of the deck has no entry {name!r}.")
@@ -81,11 +81,11 @@ class Section:
         return found.text
 
     def peek(self, name: str) -> str:
-        """Return an entry as text without taking it for read; nothing where there is none."""
+        """Return an entry as text without marking it as read; empty if it is missing."""
         return self.entries[name].text if name in self.entries else ""
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return an entry as a finite number; raises CaseError where it is none."""
+        """Return an entry as a finite number, or raise CaseError."""
         if name not in self.entries and default is not None:
             return default
         text = self.text(name)
@@ -95,14 +95,14 @@ class Section:
         return value
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """Return an entry as a whole number; raises CaseError where it is none."""
+        """Return an entry as an integer, or raise CaseError."""
         value = self.number(name, None if default is None else float(default))
         if value != round(value):
             raise CaseError(f"{self.entries[name].place} of the deck is {value:g}, not a whole number.")
         return int(value)
 
     def flag(self, name: str, default: bool = False) -> bool:
-        """Return an entry as yes or no; raises CaseError where it is neither."""
+        """Return an entry as yes or no, or raise CaseError."""
         if name not in self.entries:
             return default
         text = self.text(name)
@@ -111,7 +111,7 @@ class Section:
         return _FLAGS[text.lower()]
 
     def leaves(self) -> Iterator[Entry]:
-        """Yield all entries of it and of the sections in it; an empty section is one without text."""
+        """Yield all entries of the section and its subsections; an empty section is an entry without text."""
         yield from self.entries.values()
         for section in self.sections.values():
             if not (section.entries or section.sections):
@@ -119,12 +119,12 @@ class Section:
             yield from section.leaves()
 
     def use_all(self) -> None:
-        """Mark all entries of it and of the sections in it as read."""
+        """Mark all entries of the section and its subsections as read."""
         for entry in self.leaves():
             entry.used = True
 
     def unread(self) -> list[Entry | Section]:
-        """Return the entries that have not been read, and sections in the place of all of theirs."""
+        """Return the unread entries, and a section instead of its entries if all are unread."""
         found: list[Entry | Section] = [entry for entry in self.entries.values() if not entry.used]
         for section in self.sections.values():
             leaves = list(section.leaves())
@@ -133,7 +133,7 @@ class Section:
         return found
 
     def without(self, names: Sequence[str]) -> list[str]:
-        """Take out the entries and sections whose name or path is among the names, and return them as text."""
+        """Remove the entries and sections with these names or paths, and return them as text."""
         out = []
         for name, entry in list(self.entries.items()):
             if name in names or entry.path in names:
@@ -149,12 +149,12 @@ class Section:
 
 
 def read(path: Path) -> Section:
-    """Return a deck: XML where its name ends so or it begins with ``<``, YAML otherwise.
+    """Read a deck: XML if its name ends so or it begins with ``<``, otherwise YAML.
 
     Raises
     ------
     CaseError
-        The file is missing, is neither, or needs a package that is not there.
+        The file is missing, is neither, or requires a package that is not installed.
     """
     text = text_in(path, "deck", LONGEST_DECK, "utf-8-sig")
     root = _read_xml(path, text) if text.lstrip().startswith("<") else _read_yaml(path, text)
@@ -169,9 +169,9 @@ def _read_yaml(path: Path, text: str) -> Section:
     except ImportError:
         raise CaseError("Reading decks in YAML needs PyYAML; install pdpetsc[decks].") from None
     try:
-        # Peridigm's parser takes a backslash before a brace for the brace; YAML has no such escape.
+        # Peridigm's parser reads a backslash and a brace as the brace; YAML does not have this escape.
         text = re.sub(r"\\([{}])", r"\1", text)
-        # Nodes alone: nothing of the deck is made into objects.
+        # Compose nodes only: no objects are created from the deck.
         node = yaml.compose(text, Loader=_bounded(path, yaml))
         if not isinstance(node, yaml.MappingNode):
             raise CaseError(f"The deck {path} is no list of names and values.")
@@ -194,7 +194,7 @@ def _too_many(path: Path) -> CaseError:
 def _bounded(path: Path, yaml: Any) -> Any:
     """Return a loader of YAML that raises CaseError if a deck is nested too deeply, has too many entries or an alias.
 
-    Aliases of aliases stand for more entries than any deck has, and an alias may be in what it stands for.
+    Aliases of aliases can expand to any number of entries, and aliases can be recursive.
     """
 
     class Bounded(yaml.SafeLoader):  # type: ignore[misc]
@@ -207,7 +207,7 @@ def _bounded(path: Path, yaml: Any) -> Any:
             self.depth, self.count = self.depth + 1, self.count + 1
             if self.depth > DEEPEST:
                 raise _too_deep(path)
-            # Names and values are nodes of their own.
+            # Names and values are separate nodes.
             if self.count > 2 * MOST_ENTRIES:
                 raise _too_many(path)
             node = super().compose_node(parent, index)

@@ -1,4 +1,4 @@
-"""What a case declares: particles, regions, influence, conditions, schedules, steps and solvers.
+"""Declarations of a case: particles, regions, influence, conditions, schedules, steps and solvers.
 
-Nothing here uses MPI or PETSc. Particles come in parts, so that no rank needs to hold all of a lattice.
+No module here uses MPI or PETSc. Particles are created in parts, so that no rank stores a whole lattice.
 """

@@ -1,4 +1,4 @@
-"""Abaqus input decks: nodes, elements, and their sets and surfaces, of one part."""
+"""Reader of Abaqus input decks: nodes, elements, sets and surfaces of one part."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cells import FACETS, Block, MeshData
 from pdpetsc.errors import CaseError
 
-# Element types of solids, plane elements, lines and beams; the number in them is that of the nodes, of beams the order.
+# Element types of solids, plane elements, lines and beams; their digits are the number of nodes, for beams the order.
 _SOLID = re.compile(r"^(?:A|D|DC)?C3D(\d+)")
 _PLANE = re.compile(r"^(?:CPS|CPE|CPEG|CAX|DC2D|AC2D|DCAX|M3D|SFM3D|R3D|DS|STRI|S)(\d+)")
 _LINE = re.compile(r"^(?:T2D|T3D|R2D|DC1D)(\d)")
@@ -22,19 +22,19 @@ _BEAM = re.compile(r"^B[23]([12])")
 _SOLIDS = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra", 13: "pyramid", 15: "wedge",
            20: "hexahedron", 27: "hexahedron"}  # fmt: skip
 _PLANES = {3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
-# Elements without extent, which no particle is made of.
+# Elements without volume; they become no particles.
 _NO_CELLS = ("MASS", "ROTARYI", "SPRING", "DASHPOT", "CONN", "DCOUP", "GAP")
-# Keywords that make or move nodes and elements; without them the mesh would be another.
+# Keywords that generate or move nodes and elements; they are refused.
 _REFUSED = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"}
-# Largest depth of files that include files.
+# Largest depth of nested includes.
 _DEPTH = 8
-# Most files of a deck, and members of a set as its lines name them.
+# Largest number of files of a deck, and of members of a set in its lines.
 _FILES, _MEMBERS = 1000, 10**7
 
 
 @dataclass
 class _Deck:
-    """What was read so far; elements by kind and number of nodes, in the order of the file."""
+    """The contents read so far; elements by kind and number of nodes, in the order of the file."""
 
     nodes: dict[int, int] = field(default_factory=dict)
     points: list[list[float]] = field(default_factory=list)
@@ -49,12 +49,12 @@ class _Deck:
 
 
 def read(path: Path) -> MeshData:
-    """Return what an Abaqus deck holds: surfaces become side sets, or node sets where they are of nodes.
+    """Read an Abaqus deck; surfaces of elements become side sets, surfaces of nodes node sets.
 
     Raises
     ------
     CaseError
-        A line cannot be understood, or the deck has several parts or makes its mesh by commands.
+        A line cannot be read, or the deck has several parts or generates its mesh by commands.
     """
     deck = _Deck()
     section = ""
@@ -71,7 +71,8 @@ def read(path: Path) -> MeshData:
         deck.instances += keyword == "INSTANCE"
         if keyword == "INSTANCE" and data:
             raise CaseError("it moves an instance of a part; write nodes where they are")
-        # Nodes and elements of an assembly itself are reference points, left out; its sets name members of an instance.
+        # Nodes and elements of an assembly itself are reference points and omitted; its sets have members of an
+        # instance.
         own = section == "ASSEMBLY" and "INSTANCE" not in options
         if keyword == "NODE" and not own:
             _nodes(deck, options, data)
@@ -129,7 +130,7 @@ def _mesh(deck: _Deck) -> MeshData:
 
 
 def _sections(path: Path, depth: int = 0) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
-    """Yield keyword, options and the words of the data lines, those of included files too."""
+    """Yield keyword, options and the words of the data lines, including those of included files."""
     if depth > _DEPTH:
         raise CaseError("its files include each other without end")
     keyword, options, data = "", dict[str, str](), list[list[str]]()
@@ -153,7 +154,7 @@ def _sections(path: Path, depth: int = 0) -> Iterator[tuple[str, dict[str, str],
 
 
 def _keyword(text: str, lines: Iterator[str]) -> tuple[str, dict[str, str]]:
-    """Return keyword and options of a line, which ``lines`` may continue."""
+    """Return keyword and options of a line, continued in ``lines`` if needed."""
     while text.endswith(","):
         text += next(lines, "").strip() or " "
     first, *rest = text[1:].split(",")
@@ -162,9 +163,9 @@ def _keyword(text: str, lines: Iterator[str]) -> tuple[str, dict[str, str]]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return a deck and the files that it includes, and those that these include, each once."""
+    """Return a deck and all files that it includes, directly or not, each once."""
     found = [path]
-    # Grows while it is read.
+    # The list grows during the loop.
     for one in found:
         found += [file for file in dict.fromkeys(_included(one)) if file not in found]
         if len(found) > _FILES:
@@ -209,7 +210,7 @@ def _nodes(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
         words = words[:-1] if words[-1] == "" else words
         number = _whole(words[0], "a node")
         try:
-            # Coordinates that are left out are zero.
+            # Omitted coordinates are zero.
             x = [float(word) if word else 0.0 for word in words[1:4]]
         except ValueError:
             raise CaseError(f"the coordinates of node {number} are not numbers") from None
@@ -224,9 +225,9 @@ def _nodes(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
 
 
 def _ends_first(points: Float, nodes: GlobalIndex) -> GlobalIndex:
-    """Return the nodes of lines of three with the one in the middle last; decks have it second or last."""
+    """Return the nodes of three-node lines with the middle node last; decks have it second or last."""
     x = points[nodes]
-    # The node opposite to the longest distance is the middle one.
+    # The node opposite to the longest distance is the middle node.
     apart = np.stack([np.linalg.norm(x[:, (m + 1) % 3] - x[:, (m + 2) % 3], axis=1) for m in range(3)], axis=1)
     middle = np.argmax(apart, axis=1)
     order = np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])[middle]
@@ -234,7 +235,7 @@ def _ends_first(points: Float, nodes: GlobalIndex) -> GlobalIndex:
 
 
 def _kind(word: str) -> tuple[str, int] | None:
-    """Return kind and number of nodes of an element type; None for one without extent."""
+    """Return kind and number of nodes of an element type; None for types without volume."""
     if word.startswith(_NO_CELLS):
         return None
     if word.startswith("STRI65"):
@@ -256,7 +257,7 @@ def _elements(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> No
         members = [_whole(words[0], "an element") for words in data]
         deck.without_cells.update(members)
     else:
-        # An element may go on in the next line.
+        # An element may continue in the next line.
         numbers = [_whole(word, "a node or element") for words in data for word in words if word]
         width = kind[1] + 1
         if len(numbers) % width:
@@ -277,7 +278,7 @@ def _elements(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> No
 
 
 def _generated(data: list[list[str]]) -> list[int]:
-    """Return the members of a set that ranges generate."""
+    """Return the members of a set given by ranges."""
     members: list[int] = []
     for words in data:
         given = [_whole(word, "a range") for word in words if word]
@@ -290,7 +291,7 @@ def _generated(data: list[list[str]]) -> list[int]:
 
 
 def _members(sets: dict[str, list[int]], data: list[list[str]]) -> list[int]:
-    """Return the members of a set: numbers, or the members of sets before it."""
+    """Return the members of a set, given by numbers or by names of earlier sets."""
     members: list[int] = []
     for word in itertools.chain.from_iterable(data):
         if word:
@@ -310,7 +311,7 @@ def _is_whole(word: str) -> bool:
 
 
 def _named(sets: dict[str, list[int]], word: str) -> list[int]:
-    """Return the members of a set; case does not matter, nor the instance that it is in."""
+    """Return the members of a set; case and instance of the name do not matter."""
     wanted = word.strip('"').rpartition(".")[2].upper()
     for name, members in sets.items():
         if name.upper() == wanted:
@@ -319,10 +320,10 @@ def _named(sets: dict[str, list[int]], word: str) -> list[int]:
 
 
 def _places(word: str, count: int) -> list[int]:
-    """Return the places of the facets, of so many of an element, that the word of a surface stands for.
+    """Return the indices of the facets of an element, with ``count`` facets, for the word of a surface.
 
-    ``S1``, ``E1`` and ``END1`` are the first facet, as numbers in ``FACETS`` go; a side of a shell is no facet, -1. No
-    word stands for all of them, of which those that two elements share are no surface.
+    ``S1``, ``E1`` and ``END1`` are the first facet in ``FACETS``; a side of a shell is no facet, -1. An empty word
+    means all facets; facets shared by two elements are not on the surface.
     """
     if not word:
         return list(range(count))
@@ -336,8 +337,8 @@ def _places(word: str, count: int) -> list[int]:
 
 def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
     name, kind = _option(options, "NAME", "SURFACE"), options.get("TYPE", "ELEMENT").upper()
-    # Only surfaces that name elements or nodes select particles: not those of other kinds or made of other surfaces,
-    # nor the whole free surface, whose name is empty.
+    # Only surfaces of named elements or nodes select particles; surfaces of other kinds, combinations of surfaces, and
+    # the whole free surface (empty name) do not.
     if kind not in ("ELEMENT", "NODE") or {"COMBINE", "CROP"} & set(options) or not all(words[0] for words in data):
         return
     for words in data:

@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 
 
 def corners(name: str, low: float | Sequence[float], high: float | Sequence[float]) -> tuple[Float, Float]:
-    """Return two corners (dim,) each [length]; raises CaseError unless both have the same 1, 2 or 3 coordinates."""
+    """Return two corners (dim,) each [length]; raise CaseError unless both have 1, 2 or 3 coordinates."""
     first, last = np.atleast_1d(np.asarray(low, dtype=float)), np.atleast_1d(np.asarray(high, dtype=float))
     if first.shape != last.shape or first.ndim != 1 or not 1 <= len(first) <= 3:
         raise CaseError(f"The corners low and high of a {name} need the same 1, 2 or 3 coordinates.")
@@ -22,17 +22,17 @@ def corners(name: str, low: float | Sequence[float], high: float | Sequence[floa
 
 @dataclass(frozen=True)
 class Cell(Declared):
-    """A cell that repeats in some directions.
+    """A periodic cell.
 
-    A particle and its images move alike but for the mean strain of the cell, which ``MeanStrain`` prescribes, or which
-    follows from ``MeanStress``: ``u(x + n L) = u(x) + strain n L``.
+    The displacements of a particle and its images differ by the mean strain, ``u(x + n L) = u(x) + strain n L``.
+    ``MeanStrain`` prescribes it, or it follows from ``MeanStress``.
 
     Parameters
     ----------
     low, high : float or sequence of float
         Corners of the cell [length]; only the coordinates in periodic directions matter.
     axes : str, optional
-        Periodic directions, such as ``"x"`` or ``"xy"``; all of them where absent.
+        Periodic directions, such as ``"x"`` or ``"xy"``; by default all.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class Cell(Declared):
 
     @property
     def lengths(self) -> Float:
-        """Return the period in each direction (dim,) [length], 0 where there is none."""
+        """Return the period in each direction (dim,) [length]; 0 for directions that are not periodic."""
         low, high = self._corners()
         lengths = np.zeros(len(low))
         lengths[self.periodic] = (high - low)[self.periodic]
@@ -80,7 +80,7 @@ class Cell(Declared):
 
     @property
     def components(self) -> list[tuple[int, int]]:
-        """Return the components of strain that the cell has: pairs of periodic directions ``a <= b``."""
+        """Return the components of strain of the cell: pairs of periodic directions ``a <= b``."""
         return [(a, b) for a in self.periodic for b in self.periodic if a <= b]
 
     def _corners(self) -> tuple[Float, Float]:

@@ -1,4 +1,4 @@
-"""Words that stand for objects, such as ``silling`` for a control on the command line."""
+"""Choice of objects by words, such as ``silling`` for a control on the command line."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -9,16 +9,16 @@ T = TypeVar("T")
 
 
 def choose(parameter: str, word: str, choices: Mapping[str, T]) -> T:
-    """Return the object that a word stands for.
+    """Return the object of a word.
 
     Parameters
     ----------
     parameter : str
-        Name of the case's parameter, for the message.
+        Name of the parameter of the case, for the message.
     word : str
         Its value.
     choices : mapping of str to object
-        What each word stands for.
+        The object of each word.
 
     Raises
     ------

@@ -16,17 +16,16 @@ from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
-# A number, which is multiplied by the schedule, or a function of positions (n, dim) and step time that returns (n,)
-# values, which are multiplied by the schedule where one is given.
+# A number, multiplied by the schedule, or a function of positions (n, dim) and load parameter that returns (n,) values,
+# multiplied by the schedule if one is declared.
 Value: TypeAlias = Finite | Callable[[Float, float], Float]
 
 
 @dataclass(frozen=True)
 class Condition(Declared, ABC):
-    """A prescribed displacement, a load, or the mean strain or stress of a cell; derive from it for another one.
+    """A prescribed displacement, a load, or the mean strain or stress of a cell. Derive your own from it.
 
-    A condition that has a ``region`` takes a name in its place: that of a side, ``"-x"`` to ``"+z"``
-    (``pd.region.Face``), or that of a set.
+    The ``region`` of a condition may be a name: of a side, ``"-x"`` to ``"+z"`` (``pd.region.Face``), or of a set.
     """
 
     def __post_init__(self) -> None:
@@ -35,7 +34,7 @@ class Condition(Declared, ABC):
 
     @abstractmethod
     def put(self, onto: Any, name: str) -> None:
-        """Apply it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective).
+        """Apply the condition to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective).
 
         ``onto.body`` has the particles, ``onto.supports`` prescribes or ties unknowns, ``onto.loads`` adds forces.
         """
@@ -48,7 +47,7 @@ def condition_name(condition: object, number: int) -> str:
 
 @dataclass(frozen=True)
 class VectorCondition(Condition):
-    """A condition with components on a region; derive from it for another one."""
+    """A condition with components on a region. Derive your own from it."""
 
     region: Region
     x: Value | None = None
@@ -62,7 +61,7 @@ class VectorCondition(Condition):
         Raises
         ------
         CaseError
-            None is declared, or one lies outside the dimension.
+            No component is declared, or one is outside the dimension.
         """
         given = [(axis, value) for axis, value in enumerate((self.x, self.y, self.z)) if value is not None]
         name = type(self).__name__
@@ -73,10 +72,10 @@ class VectorCondition(Condition):
         return given
 
     def value(self, component: Value, x: Float, t: float) -> Float:
-        """Return the values of one component at positions ``x`` and step time ``t``, (n,).
+        """Return the values of one component at positions ``x`` and load parameter ``t``, (n,).
 
-        Numbers follow the schedule, by default the ramp; functions are taken as they are, times the schedule where one
-        is given.
+        Numbers are multiplied by the schedule, by default the ramp. Functions are multiplied by a declared schedule
+        only.
 
         Raises
         ------
@@ -87,8 +86,8 @@ class VectorCondition(Condition):
 
 
 def values_of(name: str, component: Value, schedule: Schedule | None, x: Float, t: float) -> Float:
-    """Return what a component of a condition called ``name`` is at positions ``x`` and step time ``t`` (n,)."""
-    if len(x) == 0:  # a function need not know what to do with no particles
+    """Return the component of the condition ``name`` at positions ``x`` and load parameter ``t`` (n,)."""
+    if len(x) == 0:  # functions may not support empty arrays
         return np.zeros(0)
     chosen = schedule or (Hold() if callable(component) else Ramp())
     factor = evaluated(f"schedule of a {name} condition", chosen, (), t, t)
@@ -98,12 +97,12 @@ def values_of(name: str, component: Value, schedule: Schedule | None, x: Float, 
 
 
 def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
-    """Return what a function of the case gives at step time ``t``, as finite numbers of a shape.
+    """Evaluate a function of the case at load parameter ``t`` and return finite numbers of a shape.
 
     Raises
     ------
     SolveError
-        It fails, or gives something else.
+        The function fails, or returns something else.
     """
     when = f"At step time {t:.6g}: "
     try:
@@ -127,16 +126,17 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Displacement(VectorCondition):
-    """Prescribed displacement of a region; components that are not given are free.
+    """Prescribed displacement of a region; components that are not declared are free.
 
     Parameters
     ----------
     region : Region
-        Which particles.
+        The particles.
     x, y, z : float or callable, optional
-        Components [length]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
+        Components [length]: numbers, or functions of positions (n, dim) and load parameter that return (n,) values.
     schedule : callable, optional
-        Factor on the components as a function of the step time; by default ``Ramp`` for numbers and 1 for functions.
+        Factor on the components as a function of the load parameter; by default ``Ramp`` for numbers and 1 for
+        functions.
 
     Examples
     --------
@@ -201,26 +201,27 @@ class Traction(VectorCondition):
     Parameters
     ----------
     region : Region
-        The facets of the surface in it, or a tag of them; with ``layer`` and ``consistent`` the outer particles of the
-        face.
+        The facets of the surface in the region, or their tag; for ``layer`` and ``consistent`` the outer particles of
+        the face.
     x, y, z : float or callable, optional
         Components [stress]: numbers or functions, as for ``Displacement``.
     schedule : callable, optional
         As for ``Displacement``.
     normal : sequence of float, optional
-        Outward normal of the face; its length does not matter. ``layer`` and ``consistent`` need it; of ``surface`` it
-        leaves out facets that do not look in its direction, within 45 degrees.
+        Outward normal of the face; its length does not matter. ``layer`` and ``consistent`` require it; for ``surface``
+        it excludes facets whose normals differ by more than 45 degrees.
     distribution : {"surface", "layer", "consistent"}, optional
-        ``surface``, the default without a normal, puts the traction on every facet and that on the particles near it,
-        ``f_k = sum_f N_f(x_k) t |a_f|`` with linear-exact weights ``N_f``: on any face, flat or curved, with the
-        resultant and the moment of the traction. ``layer``, the default with a normal, puts ``t`` times the free face
-        of the particle on every particle of the region; particles without a free face get none. ``consistent`` applies
-        ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform stress ``t (x) n`` in equilibrium: a
-        uniform traction then gives a uniform gradient. It reaches two horizons into the body. All add up to the
-        traction times the area of the face.
+        ``surface``, the default without a normal, distributes the traction of every facet to the particles near it,
+        ``f_k = sum_f N_f(x_k) t |a_f|`` with linear-exact weights ``N_f``. Faces may be flat or curved; resultant and
+        moment are those of the traction. ``layer``, the default with a normal, applies ``t`` times the free face of the
+        particle to every particle of the region; particles without a free face get none. ``consistent`` applies ``f =
+        G^T W (t (x) n)`` near the face, in equilibrium with a uniform stress ``t (x) n``: a uniform traction yields a
+        uniform gradient. Its forces extend two horizons into the body. All sum to the traction times the area of the
+        face.
     area : float, optional
-        Area of the face [area; length times thickness in 2D, cross-section in 1D], where it does not follow from the
-        particles: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+        Area of the face [area; length times thickness in 2D, cross-section in 1D], required if it does not follow from
+        the particles: an irregular cloud of arrays or of a text file. ``layer`` divides it in proportion to ``V^((d -
+        1) / d)``.
 
     Examples
     --------
@@ -246,7 +247,7 @@ class Traction(VectorCondition):
 
     @property
     def on_surface(self) -> bool:
-        """Return whether it acts on facets of the surface."""
+        """Return True if the traction acts on facets of the surface."""
         return self.distribution == "surface" or (self.distribution is None and not len(self.normal))
 
     def unit_normal(self, dim: int) -> Float:
@@ -260,14 +261,14 @@ class Traction(VectorCondition):
 
 @dataclass(frozen=True)
 class SurfacePressure(Condition):
-    """Dead pressure on facets of the surface, ``t = -p n`` with the reference normal of each; ``Pressure`` makes it.
+    """Dead pressure on facets of the surface, ``t = -p n`` with the reference normal of each; created by ``Pressure``.
 
     Parameters
     ----------
     region : Region
-        The facets of the surface in it, or a tag of them.
+        The facets of the surface in the region, or their tag.
     value : float or callable
-        ``p`` [stress]: a number, multiplied with the schedule, or a function of positions (n, dim) and step time.
+        ``p`` [stress]: a number, multiplied by the schedule, or a function of positions (n, dim) and load parameter.
     schedule : callable, optional
         As for ``Displacement``.
 
@@ -288,7 +289,7 @@ class SurfacePressure(Condition):
         onto.surface_pressure(self, name)
 
     def values(self, x: Float, t: float) -> Float:
-        """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and step time ``t``; raises SolveError where it fails."""
+        """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and load parameter ``t``, or raise SolveError."""
         return values_of(type(self).__name__, self.value, self.schedule, x, t)
 
 
@@ -302,8 +303,8 @@ def Pressure(
 ) -> Traction | SurfacePressure:
     """Return the dead traction ``-value n`` of a pressure [stress] on a surface.
 
-    Without a normal it acts on every facet of the region along its own normal, on any surface. With one, ``n``, it is a
-    ``Traction``, whose other arguments these are.
+    Without a normal it acts on every facet of the region along the normal of the facet, on any surface. With a normal
+    ``n`` it is a ``Traction`` with these other arguments.
 
     Examples
     --------
@@ -343,7 +344,7 @@ class _Tensor(Condition):
         Raises
         ------
         CaseError
-            None is declared, or the cell lacks one.
+            No component is declared, or the cell lacks one.
         """
         name = type(self).__name__
         letters = ["xyz"[a] + "xyz"[b] for a, b in available]
@@ -361,7 +362,7 @@ class _Tensor(Condition):
 class MeanStrain(_Tensor):
     """Prescribed components of the mean strain of a periodic cell [-], ``u(x + n L) = u(x) + strain n L``.
 
-    At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
+    At finite deformation it is the mean stretch minus the identity, ``U - I``, in axes that do not rotate.
 
     Examples
     --------
@@ -376,7 +377,7 @@ class MeanStrain(_Tensor):
 
 @dataclass(frozen=True)
 class MeanStress(_Tensor):
-    """Mean stress of a periodic cell [stress], per reference volume; 0 where neither it nor the strain is given.
+    """Mean stress of a periodic cell [stress], per reference volume; by default 0 unless the strain is declared.
 
     At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
 

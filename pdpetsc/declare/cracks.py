@@ -1,4 +1,4 @@
-"""Pre-cracks: surfaces that cut the bonds which cross them."""
+"""Pre-cracks: lines and surfaces that cut the bonds that cross them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
-# A bond that ends this close to a crack, as a share of its length, counts as crossing it.
+# A bond that ends this close to a crack, as a share of its length, crosses it.
 TOUCHING = 1e-9
 
 
 class Crack(Declared, ABC):
-    """A pre-crack: the bonds that cross it are left out from the start."""
+    """A pre-crack: bonds that cross it are cut before the first step."""
 
     @property
     def line(self) -> Sequence[Sequence[float]]:
-        """Return the points that it runs through in a plane body, for pictures; none where it is no such line."""
+        """Return the points of a crack line in a plane body, for pictures; none for other cracks."""
         return ()
 
     @abstractmethod
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which of the bonds from ``a`` to ``b`` (n, dim) cross the crack (n,) bool.
+        """Return True for bonds from ``a`` to ``b`` (n, dim) that cross the crack, (n,) bool.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Segment(Crack):
         return (self.start, self.end)
 
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which bonds cross the segment."""
+        """Return True for bonds that cross the segment."""
         p, q = _point(self.start, 2, "Segment"), _point(self.end, 2, "Segment")
         _same(a, 2, "Segment")
         along = q - p
@@ -91,7 +91,7 @@ class Polyline(Crack):
         return self.points
 
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which bonds cross one of its segments."""
+        """Return True for bonds that cross one of the segments."""
         if len(self.points) < 2:
             raise CaseError("A crack Polyline needs at least two points.")
         cut = np.zeros(len(a), dtype=bool)
@@ -114,7 +114,7 @@ class PlaneCrack(Crack):
     normal: Sequence[float]
 
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which bonds cross the plane."""
+        """Return True for bonds that cross the plane."""
         return _crossing(a, b, self.point, self.normal)[0]
 
 
@@ -138,7 +138,7 @@ class Disc(Crack):
             raise CaseError(f"A crack Disc needs a positive radius, not {self.radius}.")
 
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which bonds cross the disc."""
+        """Return True for bonds that cross the disc."""
         _same(a, 3, "Disc")
         crossing, where = _crossing(a, b, self.centre, self.normal)
         inside = np.linalg.norm(where - np.asarray(self.centre, dtype=float), axis=1) <= self.radius
@@ -158,7 +158,7 @@ class PolygonCrack(Crack):
     points: Sequence[Sequence[float]]
 
     def cuts(self, a: Float, b: Float) -> Mask:
-        """Return which bonds cross the polygon."""
+        """Return True for bonds that cross the polygon."""
         _same(a, 3, "PolygonCrack")
         corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
         if len(corners) < 3:
@@ -180,13 +180,13 @@ SHIPPED: dict[str, type[Crack]] = {kind.__name__: kind for kind in (Segment, Pol
 
 
 def recorded(crack: Crack) -> dict[str, Any]:
-    """Return a crack as a record from which ``crack_of`` makes it again; only its class where that is a user's."""
+    """Return a crack as a record for ``crack_of``; only the class name for a class of a user."""
     name = type(crack).__name__
     return {"kind": name, **(asdict(crack) if SHIPPED.get(name) is type(crack) else {})}  # type: ignore[call-overload]
 
 
 def crack_of(record: Mapping[str, Any]) -> Crack | None:
-    """Return the crack of a record, None where it is of a user's class."""
+    """Return the crack of a record; None for a class of a user."""
     given = {name: value for name, value in record.items() if name != "kind"}
     kind = SHIPPED.get(str(record.get("kind")))
     try:
@@ -198,7 +198,7 @@ def crack_of(record: Mapping[str, Any]) -> Crack | None:
 def _crossing(
     a: Float, b: Float, point: Sequence[float] | Float, normal: Sequence[float] | Float
 ) -> tuple[Mask, Float]:
-    """Return which bonds cross a plane, and where."""
+    """Return which bonds cross a plane, and the crossing points."""
     dim = a.shape[1]
     p, n = _point(point, dim, "crack"), _point(normal, dim, "crack")
     size = float(np.linalg.norm(n))
@@ -212,7 +212,7 @@ def _crossing(
 
 
 def _inside(corners: Float, where: Float) -> Mask:
-    """Return which points of a plane (n, 2) lie inside a polygon, by the number of sides to their right."""
+    """Return True for points of a plane (n, 2) inside a polygon, by the number of sides to their right."""
     inside = np.zeros(len(where), dtype=bool)
     for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         spans = (p[1] > where[:, 1]) != (q[1] > where[:, 1])

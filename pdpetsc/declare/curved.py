@@ -1,4 +1,4 @@
-"""Quadratic cells: which nodes lie between which corners, and integrals over curved edges and faces."""
+"""Quadratic cells: nodes between corners, and integrals over curved edges and faces."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pdpetsc.errors import CaseError
 _BOTTOM, _TOP = [(0, 1), (1, 2), (2, 3), (3, 0)], [(4, 5), (5, 6), (6, 7), (7, 4)]
 _UPRIGHT = [(0, 4), (1, 5), (2, 6), (3, 7)]
 _TETRA = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
-# Edges of a cell in the order of the nodes in their middles. Exodus and Nastran have upright edges before those of the
-# top, Abaqus and VTK after them, and Gmsh orders edges by their first corner; readers do not turn all of them, so the
-# order is that in which the nodes are nearest to the middles.
+# Edges of a cell in the order of their middle nodes. Exodus and Nastran have upright edges before those of the top,
+# Abaqus and VTK after them, and Gmsh orders edges by their first corner. Readers do not reorder all of them, so the
+# order with the nodes nearest to the middles is used.
 EDGES: dict[str, list[list[tuple[int, int]]]] = {
     "triangle": [[(0, 1), (1, 2), (2, 0)]],
     "quad": [_BOTTOM],
@@ -35,9 +35,9 @@ EDGES: dict[str, list[list[tuple[int, int]]]] = {
         [(0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)],
     ],
 }
-# Nodes of a facet besides its corners: in the middles of up to four edges, and one within.
+# Nodes of a facet besides its corners: in the middles of up to four edges, and one inside.
 MIDDLES = 5
-# A node is in the middle of a straight edge where it is this near to it, as a share of the edge.
+# A node this near to the middle of a straight edge, as a share of the edge, is in the middle.
 _STRAIGHT = 1e-10
 # A node farther from the middle of its edge than this, as a share of the edge, is not of that edge.
 _FAR = 0.5
@@ -47,25 +47,25 @@ _SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 def middles(
     points: Float, kind: str, nodes: GlobalIndex, n_corners: int, facets: Sequence[tuple[int, ...]]
 ) -> GlobalIndex:
-    """Return the nodes within the facets of cells (n_facets of a cell, n, ``MIDDLES``), -1 where there are none.
+    """Return the nodes between the corners of the facets of cells (n_facets of a cell, n, ``MIDDLES``); -1 if missing.
 
     Parameters
     ----------
     points : (n_points, dim) float64
-        Where the nodes are [length].
+        Positions of the nodes [length].
     kind : str
         A key of ``CORNERS``.
     nodes : (n, m) int64
         The nodes of the cells, corners first.
     n_corners : int
-        How many corners they have.
+        Their number of corners.
     facets : sequence of tuple of int
         The corners of each facet in turn.
 
     Raises
     ------
     CaseError
-        Nodes do not lie near the middles of the edges in any known order.
+        Nodes are not near the middles of the edges in any known order.
     """
     found = np.full((len(facets), len(nodes), MIDDLES), -1, dtype=np.int64)
     orders = EDGES.get(kind, [[]])
@@ -93,7 +93,7 @@ def middles(
 
 
 def _off_middles(points: Float, nodes: GlobalIndex, n_corners: int, order: Sequence[tuple[int, int]]) -> Float:
-    """Return how far nodes are from the middles of edges, as shares of these (n, n_edges); 0 on collapsed edges."""
+    """Return the distances of nodes from the middles of edges over their lengths (n, n_edges); 0 on collapsed edges."""
     x = points[nodes]
     found = []
     for k, (a, b) in enumerate(order):
@@ -104,7 +104,7 @@ def _off_middles(points: Float, nodes: GlobalIndex, n_corners: int, order: Seque
 
 
 def _nearest_within(points: Float, corners: GlobalIndex, edges: GlobalIndex, rest: GlobalIndex) -> GlobalIndex:
-    """Return which of the remaining nodes of cells (n, k) is in the middle of a face, -1 where none is near it."""
+    """Return the remaining node of each cell (n, k) that is in the middle of a face; -1 if none is near."""
     middle = 0.5 * points[edges].sum(axis=1) - 0.25 * points[corners].sum(axis=1)
     size = np.linalg.norm(points[corners[:, 2]] - points[corners[:, 0]], axis=1)
     away = np.linalg.norm(points[rest] - middle[:, None], axis=2)
@@ -115,14 +115,14 @@ def _nearest_within(points: Float, corners: GlobalIndex, edges: GlobalIndex, res
 
 
 def bent(points: Float, corners: GlobalIndex, middle: GlobalIndex) -> Mask:
-    """Return which facets have a node within that is off its straight edge or bilinear face (n,).
+    """Return True for facets with a node off their straight edges or bilinear face (n,).
 
     Parameters
     ----------
     corners : (n, 4) int64
-        Nodes of facets in turn, followed by -1 where there are fewer than four.
+        Corner nodes of facets in cyclic order, followed by -1 if there are fewer than four.
     middle : (n, ``MIDDLES``) int64
-        Nodes within them, -1 where there are none.
+        Their other nodes; -1 if missing.
     """
     found = np.zeros(len(corners), dtype=bool)
     count = (corners >= 0).sum(axis=1)
@@ -140,7 +140,7 @@ def bent(points: Float, corners: GlobalIndex, middle: GlobalIndex) -> Mask:
 
 
 def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, degree: int) -> tuple[Float, Float]:
-    """Return places (n, q, dim) and vector areas (n, q, dim) of curved facets of one number of corners.
+    """Return positions (n, q, dim) and vector areas (n, q, dim) of curved facets with equal numbers of corners.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, degree:
     middle : (n, ``MIDDLES``) int64
         Nodes within.
     degree : {1, 2}
-        Powers of the places whose sums with the areas are exact: ``sum x (x) a``, or ``sum x^2 a`` too.
+        Degree of positions with exact sums over the areas: ``sum x (x) a`` for 1, also ``sum x^2 a`` for 2.
     """
     m = corners.shape[1]
     x = points[np.concatenate([corners, middle[:, : 1 if m == 2 else m]], axis=1)]
@@ -167,7 +167,7 @@ def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, degree:
 
 
 def _summed(x: Float, N: Float, along: Float, across: Float, weight: Float) -> tuple[Float, Float]:
-    """Return places and vector areas from shape functions (q, m), their derivatives, and weights (q,)."""
+    """Return positions and vector areas from shape functions (q, m), their derivatives, and weights (q,)."""
     areas = np.cross(np.einsum("qm,nmi->nqi", along, x), np.einsum("qm,nmi->nqi", across, x)) * weight[:, None]
     return np.einsum("qm,nmi->nqi", N, x), areas
 
@@ -181,7 +181,7 @@ def _on_lines(x: Float, order: int) -> tuple[Float, Float]:
 
 
 def _triangle(order: int) -> tuple[Float, Float, Float, Float]:
-    """Return shape functions of six nodes and their derivatives at the points of a square that is collapsed."""
+    """Return shape functions of six nodes and their derivatives at the points of a collapsed square."""
     s, w = scipy.special.roots_legendre(order)
     u, v = np.meshgrid(0.5 * (s + 1.0), 0.5 * (s + 1.0), indexing="ij")
     weight = (0.25 * np.outer(w, w) * (1.0 - u)).ravel()
@@ -195,7 +195,7 @@ def _triangle(order: int) -> tuple[Float, Float, Float, Float]:
 
 
 def _square(order: int) -> list[tuple[Float, Float, Float, Float]]:
-    """Return the same of eight nodes, and of nine."""
+    """Return shape functions of eight and of nine nodes, and their derivatives, at the points of a square."""
     g, w = scipy.special.roots_legendre(order)
     s, t = (one.ravel() for one in np.meshgrid(g, g, indexing="ij"))
     weight = np.outer(w, w).ravel()
@@ -216,7 +216,7 @@ def _square(order: int) -> list[tuple[Float, Float, Float, Float]]:
             along.append(0.5 * a * (1 - t**2))
             across.append(-t * (1 + a * s))
     eight = [np.stack(one, axis=1) for one in (N, along, across)]
-    # The bubble takes from corners and middles what it adds in the middle.
+    # The bubble is subtracted from corners and middles.
     bubble = ((1 - s**2) * (1 - t**2), -2 * s * (1 - t**2), -2 * t * (1 - s**2))
     share = np.array([0.25] * 4 + [-0.5] * 4)
     nine = [np.column_stack([one + np.outer(part, share), part]) for one, part in zip(eight, bubble, strict=True)]

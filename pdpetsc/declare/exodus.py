@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cells import CORNERS, Block, MeshData
 from pdpetsc.errors import CaseError
 
-# The sides of an element, from 1 on, as places in ``FACETS``; Exodus II manual, table of side set nodes.
+# The sides of an element, from 1 on, as indices in ``FACETS``; Exodus II manual, table of side set nodes.
 _SIDES = {
     "line": [0, 1], "triangle": [0, 1, 2], "quad": [0, 1, 2, 3], "tetra": [1, 2, 3, 0], "pyramid": [1, 2, 3, 4, 0],
     "wedge": [2, 3, 4, 0, 1], "hexahedron": [2, 3, 4, 5, 0, 1], "vertex": [],
@@ -27,14 +27,14 @@ _KINDS = {
 
 
 def read(path: Path) -> MeshData:
-    """Return what an Exodus file holds.
+    """Read an Exodus file.
 
     Unnamed blocks become ``group_n``, unnamed node sets ``node_set_n`` and side sets ``side_set_n`` with their numbers.
 
     Raises
     ------
     CaseError
-        It lacks coordinates or has elements of unknown type, or netCDF4 is not installed.
+        The file lacks coordinates or has elements of unknown type, or netCDF4 is not installed.
     """
     try:
         import netCDF4
@@ -99,7 +99,7 @@ def _volumes(variables: Any, number: int, count: int) -> Float | None:
 
 
 def _sets(file: Any, dimension: str, short: str, word: str, variable: str) -> dict[str, GlobalIndex]:
-    """Return sets by name, members from 0 on."""
+    """Return the sets by name; members count from 0."""
     found = {}
     for number, name in _listed(file, dimension, short, word):
         if f"{variable}{number}" in file.variables:
@@ -108,12 +108,12 @@ def _sets(file: Any, dimension: str, short: str, word: str, variable: str) -> di
 
 
 def _sides(file: Any, blocks: list[Block], shell: list[bool]) -> dict[str, GlobalIndex]:
-    """Return the side sets by name: cells from 0 on and places of facets (n, 2).
+    """Return the side sets by name: cells, counted from 0, and indices of facets (n, 2).
 
     Raises
     ------
     CaseError
-        A side is none of its element.
+        An element does not have a side.
     """
     starts = np.cumsum([0, *(len(block.nodes) for block in blocks)])
     found = {}
@@ -138,7 +138,7 @@ def _sides(file: Any, blocks: list[Block], shell: list[bool]) -> dict[str, Globa
 
 
 def _listed(file: Any, dimension: str, short: str, word: str) -> list[tuple[int, str]]:
-    """Return (place from 1 on, name) of the blocks or sets, which no two share."""
+    """Return (position from 1 on, name) of the blocks or sets; names are unique."""
     count = len(file.dimensions[dimension]) if dimension in file.dimensions else 0
     ids = [*np.ravel(file.variables[f"{short}_prop1"][:])] if f"{short}_prop1" in file.variables else []
     texts = file.variables[f"{short}_names"][:] if f"{short}_names" in file.variables else []

@@ -1,4 +1,4 @@
-"""What a case should give."""
+"""Expected results of a case."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Expected(Declared):
-    """A result as it should be, from somewhere else than this program: a closed form, a paper, finite elements.
+    """An expected result from an independent source: a closed form, a paper, finite elements.
 
-    It holds where ``abs(result - value) <= tolerance`` with the tolerance ``absolute``, or ``relative * abs(value)``.
-    ``Case(expect={"tip": Expected(...)})`` names the result; ``python -m pdpetsc CASE.py --check`` compares. What is
-    expected for other parameters is computed from them, or left out: ``expect={...} if pull == 1.0 else {}``.
+    A result is as expected if ``abs(result - value) <= tolerance``; the tolerance is ``absolute``, or ``relative *
+    abs(value)``. ``Case(expect={"tip": Expected(...)})`` names the result; ``python -m pdpetsc CASE.py --check``
+    compares. For other parameters compute the value from them, or omit it: ``expect={...} if pull == 1.0 else {}``.
 
     Parameters
     ----------
     value : float
-        What the result should be, in its unit.
+        Expected value, in the unit of the result.
     relative : float, optional
-        How far it may be off, over the value [-]; between 0 and 1.
+        Tolerance over the value [-]; between 0 and 1.
     absolute : float, optional
-        How far it may be off, in its unit. One of both is given.
+        Tolerance in the unit of the result. Declare either ``relative`` or ``absolute``.
     source : str
-        Where the value is from, in one line.
+        Source of the value, in one line.
 
     Raises
     ------
     CaseError
-        None or both of the tolerances are given, one that cannot fail or cannot hold, or no source.
+        Not exactly one tolerance is declared, a tolerance can never fail or never hold, or the source is missing.
 
     Examples
     --------
@@ -59,11 +59,11 @@ class Expected(Declared):
 
     @property
     def tolerance(self) -> float:
-        """Return how far a result may be off, in its unit."""
+        """Return the tolerance in the unit of the result."""
         if self.absolute is not None:
             return float(self.absolute)
         return float(self.relative or 0.0) * abs(float(self.value))
 
     def holds(self, result: float) -> bool:
-        """Return whether a result is what was expected; nan never is."""
+        """Return True if a result is within the tolerance; False for nan."""
         return math.isfinite(result) and abs(result - self.value) <= self.tolerance

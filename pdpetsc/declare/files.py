@@ -22,6 +22,7 @@ from pdpetsc.declare.cells import (
     facets,
     flat_parts,
     having,
+    middles,
     on_sides,
     parts_of_facets,
     shares_of_nodes,
@@ -35,6 +36,7 @@ from pdpetsc.declare.formats import FORMATS, files_of, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.text_file import without_constant
+from pdpetsc.declare.tiling import Cells
 from pdpetsc.declared import Positive
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
@@ -134,6 +136,21 @@ class Mesh(Particles):
         inward = (np.cross(halves[:, 1] - halves[:, 0], halves[:, 2] - halves[:, 0]) * area).sum(axis=1) < 0.0
         halves[inward] = halves[inward][:, ::-1]
         return np.asarray(halves)
+
+    def cells(self) -> Cells:
+        """Return the cells of the mesh; curved edges in the plane are two lines each."""
+        mesh = read_mesh(Path(self.path), self.format)
+        if _of_spheres(mesh):
+            return super().cells()
+        _, points, blocks = self._cells(mesh)
+        parts = []
+        for block in blocks:
+            inner = middles(points, block) if block.dim == 2 else None
+            bent = np.stack([block.corners, *([] if inner is None else [inner[:, :, 0].T])], axis=2)
+            parts.append(bent.reshape(len(block.nodes), -1))
+        found = Cells.of(points, parts, np.arange(sum(len(part) for part in parts)))
+        nodes, corners = np.unique(found.corners, return_inverse=True)
+        return replace(found, points=points[nodes], corners=corners)
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of particles, and the facets of all of them."""
@@ -235,6 +252,10 @@ class MeshNodes(Mesh):
     def on_surface(self) -> bool:
         """Return that outer particles lie on the surface."""
         return True
+
+    def cells(self) -> Cells:
+        """Return the cells of the mesh, with particles at their corners."""
+        return replace(super().cells(), particle=None)
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of nodes, and the parts of the free facets of the cells that belong to them.

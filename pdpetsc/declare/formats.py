@@ -1,7 +1,6 @@
-"""Reading finite element meshes: each format by its own reader, each within a time that grows with the file.
+"""Reading finite element meshes: one reader per format, with a time limit that grows with the file.
 
-Only the format that the ending or the case names is tried: another reader may take a damaged file for its own and
-never end.
+Only the format of the ending or of the case is tried: another reader may accept a damaged file and never end.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from pdpetsc.declare import abaqus, exodus, gmsh
 from pdpetsc.declare.cells import CORNERS, Block, MeshData
 from pdpetsc.errors import CaseError
 
-# A reader may take this long, and this much longer for every byte [s].
+# Time limit of a reader, and its increase per byte [s].
 START, PER_BYTE = 60.0, 2e-5
-# A reader may take this much memory, and this much more for every byte of the file [bytes]: one damaged number can ask
-# for more than the machine has.
+# Memory limit of a reader, and its increase per byte of the file [bytes]: one damaged number can request more than the
+# machine has.
 ROOM, ROOM_PER_BYTE = 2**30, 100
-# Nodes of cells that are hexahedra and quadrilaterals in another order.
+# Node orders of voxels and pixels, which are hexahedra and quadrilaterals.
 _REORDERED = {"pixel": ("quad", [0, 1, 3, 2]), "voxel": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
 
 
 def files_of(path: Path, name: str | None) -> list[Path]:
-    """Return the files that a mesh is read from: the one with its name, and those that it names itself.
+    """Return the files of a mesh: the file itself, and the files that it names.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ def files_of(path: Path, name: str | None) -> list[Path]:
 
 
 def _beside(path: Path) -> list[Path]:
-    """Return the files of numbers that an XDMF names."""
+    """Return the data files that an XDMF file names."""
     from xml.etree import ElementTree
 
     found = list[Path]()
@@ -63,7 +62,7 @@ def _beside(path: Path) -> list[Path]:
         for item in ElementTree.parse(path).iter("DataItem"):
             if item.get("Format", "").upper() in ("HDF", "BINARY") and item.text:
                 name = item.text.strip().partition(":")[0]
-                # Those of HDF5 are named from the folder of the file, others from where the run is.
+                # HDF5 paths are relative to the folder of the file, others to the working folder.
                 found += [Path(name) if item.get("Format", "").upper() == "BINARY" else path.parent / name]
     except ElementTree.ParseError:
         return []
@@ -71,14 +70,14 @@ def _beside(path: Path) -> list[Path]:
 
 
 def read_mesh(path: Path, name: str | None) -> MeshData:
-    """Return what a mesh file holds.
+    """Read a mesh file.
 
     Parameters
     ----------
     path : Path
         The file.
     name : str, optional
-        The format, a key of ``FORMATS``; by the ending of the file where absent.
+        The format, a key of ``FORMATS``; by default from the ending of the file.
 
     Raises
     ------
@@ -97,7 +96,7 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
     size = path.stat().st_size
     seconds = START + PER_BYTE * size
     try:
-        # meshio ends the process on some files that it cannot read, and prints its warnings.
+        # meshio exits the process on some files that it cannot read, and prints its warnings.
         with (
             contextlib.redirect_stdout(io.StringIO()),
             contextlib.redirect_stderr(io.StringIO()),
@@ -105,7 +104,7 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
             room(ROOM + ROOM_PER_BYTE * size),
             within(seconds),
         ):
-            # numpy only warns where it leaves out the last numbers of a file, and the mesh would be another one.
+            # numpy only warns if it drops the last numbers of a file; the mesh would be wrong.
             warnings.filterwarnings("error", message="string or file could not be read to its end")
             mesh = FORMATS[word][1](path)
             _check(mesh)
@@ -124,12 +123,12 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
 
 
 class _TooLong(BaseException):
-    """A reader did not end; not an Exception, which readers catch."""
+    """Timeout of a reader; no subclass of Exception, because readers catch these."""
 
 
 @contextlib.contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Interrupt what runs longer than this; without effect outside the main thread, which alone gets signals."""
+    """Interrupt the body after ``seconds``; no effect outside the main thread, which alone gets signals."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
         yield
         return
@@ -138,7 +137,7 @@ def within(seconds: float) -> Iterator[None]:
         raise _TooLong
 
     handler = signal.signal(signal.SIGALRM, late)
-    # The signal comes again every second, should a reader have caught the first one.
+    # The signal is repeated every second, in case a reader catches the first one.
     timer = signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
     try:
         yield
@@ -150,7 +149,7 @@ def within(seconds: float) -> Iterator[None]:
 
 @contextlib.contextmanager
 def room(size: int) -> Iterator[None]:
-    """Refuse memory beyond what the process has and ``size`` bytes more; without effect where that is not known."""
+    """Limit the memory of the process to its present use plus ``size`` bytes; no effect if the use is unknown."""
     try:
         import resource
 
@@ -171,7 +170,7 @@ def room(size: int) -> Iterator[None]:
 
 
 def _check(mesh: MeshData) -> None:
-    """Refuse what no mesh has: nodes that are not there, and coordinates that are not numbers."""
+    """Refuse missing nodes, and coordinates that are not finite numbers."""
     points = mesh.points
     if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
         raise CaseError(f"points have shape {points.shape}")
@@ -196,12 +195,12 @@ def _check(mesh: MeshData) -> None:
 
 
 def block_of(kind: str, nodes: Any) -> Block:
-    """Return cells of a kind as files call it: ``hexahedron20`` is a hexahedron whose corners come first.
+    """Return the cells of a kind as named in files: ``hexahedron20`` is a hexahedron with its corners first.
 
     Raises
     ------
     CaseError
-        Nothing is known of that kind.
+        The kind is unknown.
     """
     nodes = np.asarray(nodes)
     if nodes.dtype.kind not in "iu" and nodes.size:
@@ -223,7 +222,7 @@ def _read_gmsh(path: Path) -> MeshData:
 
 
 def _by_meshio(name: str) -> Callable[[Path], MeshData]:
-    """Return the reader of one format of meshio."""
+    """Return a reader of one format by meshio."""
 
     def read(path: Path) -> MeshData:
         return _of_meshio(importlib.import_module(f"meshio.{name}").read(path))
@@ -245,7 +244,7 @@ def _read_nastran(path: Path) -> MeshData:
     return _of_meshio(mesh)
 
 
-# The formats of meshes of solids: endings and reader.
+# Mesh formats: endings and reader.
 FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
     "gmsh": ((".msh",), _read_gmsh),
     "abaqus": ((".inp",), abaqus.read),
@@ -284,7 +283,7 @@ def _of_meshio(mesh: Any) -> MeshData:
 
 
 def _groups(mesh: Any, blocks: Sequence[Block]) -> Iterator[tuple[int, GlobalIndex, str]]:
-    """Yield (block, cells, name) of the groups that files mark cells with by numbers; 0 marks none."""
+    """Yield (block, cells, name) of the groups that files define by numbers of cells; 0 is no group."""
     top = max((block.dim for block in blocks), default=0)
     for key in ("gmsh:physical", "nastran:ref", "cell_tags"):
         for b, tags in enumerate(mesh.cell_data.get(key, ())):

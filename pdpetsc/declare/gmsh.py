@@ -1,7 +1,7 @@
 """Gmsh meshes of format 4.1, text and binary.
 
-Own code in the place of meshio's, which refuses files with entities in no physical group, and drops all but the first
-of the unnamed groups of an entity.
+This reader replaces meshio's, which refuses files with entities in no physical group, and drops all but the first of
+the unnamed groups of an entity.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _NAME = re.compile(rb'^\s*(\d+)\s+(-?\d+)\s+"(.*)"\s*$')
 
 
 class _Numbers(ABC):
-    """The numbers of a section, one kind after another."""
+    """The numbers of a section, read in turn."""
 
     @abstractmethod
     def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
-        """Return the next numbers, of a kind in binary files and of a type in files of text."""
+        """Return the next numbers, of kind ``binary`` in binary files and of type ``text`` in text files."""
 
     def ints(self, count: int) -> GlobalIndex:
-        """Return whole numbers of 4 bytes."""
+        """Return integers of 4 bytes."""
         return self.take(count, "<i4", int).astype(np.int64)
 
     def sizes(self, count: int) -> GlobalIndex:
@@ -45,7 +45,7 @@ class _Numbers(ABC):
         return self.take(count, "<u8", int).astype(np.int64)
 
     def reals(self, count: int) -> Float:
-        """Return numbers."""
+        """Return floating-point numbers."""
         return self.take(count, "<f8", float).astype(np.float64)
 
 
@@ -87,19 +87,19 @@ def _refuse_negative(count: int) -> None:
 
 
 def is_read(path: Path) -> bool:
-    """Return whether a file is of format 4.1."""
+    """Return True if a file has format 4.1."""
     with path.open("rb") as file:
         head = file.read(200)
     return re.search(rb"\$MeshFormat\s+4\.1\s", head) is not None
 
 
 def read(path: Path) -> MeshData:
-    """Return what a file holds; groups without name are ``group_n`` for cells, ``facets_n`` for others.
+    """Read a file; groups without a name become ``group_n`` for cells, ``facets_n`` for others.
 
     Raises
     ------
     CaseError
-        It is damaged, partitioned, or has elements of a type that is not known.
+        The file is damaged or partitioned, or has elements of an unknown type.
     """
     names: dict[tuple[int, int], str] = {}
     groups: dict[tuple[int, int], GlobalIndex] = {}
@@ -187,7 +187,7 @@ def _nodes(numbers: _Numbers) -> tuple[Float, GlobalIndex]:
         dim, _, parametric = numbers.ints(3).tolist()
         count = int(numbers.sizes(1)[0])
         tags.append(numbers.sizes(count))
-        # Nodes may have their places on curve or surface beside their coordinates.
+        # Nodes may have their parameters on a curve or surface besides their coordinates.
         width = 3 + (dim if parametric else 0)
         points.append(numbers.reals(count * width).reshape(count, width)[:, :3])
     if sum(len(part) for part in tags) != total:

@@ -1,4 +1,4 @@
-"""Horizons that follow the spacing, a function of place, or an array: the radius of the family of each particle."""
+"""Local horizons: from the spacing, a function of position, or an array."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Horizon(Declared):
-    """A horizon of ``ratio`` local spacings: ``reach_i = ratio spacing_i``.
+    """A horizon of ``ratio`` local spacings: ``horizon_i = ratio spacing_i``.
 
-    The spacing of a particle is the cell size of a ``Lattice``, the mean length of the edges that meet at the node of
-    ``MeshNodes``, and ``(V_i / thickness)^(1 / dim)`` of all others, with ``V_i / thickness`` the length of a particle
-    on a line. None of them depends on the neighbours or on the number of ranks.
+    The spacing is the cell size of a ``Lattice``, the mean length of the edges at a node of ``MeshNodes``, and ``(V_i /
+    thickness)^(1 / dim)`` for other particles. On a line ``V_i / thickness`` is the length of a particle. The spacing
+    does not depend on neighbours or on the number of ranks.
 
     Parameters
     ----------
@@ -48,12 +48,13 @@ class Horizon(Declared):
     ratio: Positive
 
 
-# One length for all particles, spacings, a function of positions (n, dim) that gives lengths (n,), or one length each.
+# One length for all particles, spacings, a function of positions (n, dim) that returns lengths (n,), or one length
+# each.
 AnyHorizon: TypeAlias = float | Horizon | Callable[[Float], Float] | NDArray[Any]
 
 
 def check_horizon(horizon: AnyHorizon, spacing: float) -> None:
-    """Raise CaseError where what is declared cannot be a horizon of particles ``spacing`` apart, 0 for unknown."""
+    """Raise CaseError if the declaration is no valid horizon for a spacing; 0 for an unknown spacing."""
     if isinstance(horizon, np.ndarray):
         lengths = real_numbers(horizon)
         if lengths is None or lengths.ndim != 1:
@@ -77,7 +78,7 @@ def check_horizon(horizon: AnyHorizon, spacing: float) -> None:
 
 
 def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thickness: float) -> float | Float:
-    """Return the horizon of all particles, or of each one of a part (n,) [length].
+    """Return one horizon for all particles, or the horizons of the particles of a part (n,) [length].
 
     Parameters
     ----------
@@ -86,14 +87,14 @@ def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thick
     chunk : Chunk
         The part.
     first, count : int
-        The number of its first particle, and of all particles.
+        The number of its first particle, and the total number of particles.
     thickness : float
-        What the volumes of a plane body or a bar contain [length^(3 - dim)].
+        Thickness of a plane body or cross-section of a bar, contained in the volumes [length^(3 - dim)].
 
     Raises
     ------
     CaseError
-        A function fails or gives lengths that are not positive, or an array is of another number of particles.
+        A function fails or returns lengths that are not positive, or an array has a wrong number of values.
     """
     if isinstance(horizon, np.ndarray):
         if len(horizon) != count:
@@ -103,7 +104,7 @@ def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thick
         return horizon.ratio * spacings(chunk, thickness)
     if not callable(horizon):
         return float(horizon)
-    # A function of positions need not know what to make of none.
+    # Functions of positions may not support empty arrays.
     if len(chunk.x) == 0:
         return np.zeros(0)
     values = called("horizon", horizon, chunk.x)

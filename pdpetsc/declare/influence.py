@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 
 
 class Influence(Declared, ABC):
-    """Influence omega of a bond as a function of its length over the horizon [-]."""
+    """Influence ``omega`` of a bond as a function of its length over the horizon [-]."""
 
     @abstractmethod
     def __call__(self, s: Float) -> Float:
@@ -78,7 +78,7 @@ class Gaussian(Influence):
     Parameters
     ----------
     width : float
-        Length over the horizon at which omega has fallen to 1 / e [-].
+        Length over the horizon at which omega is 1 / e [-].
 
     Examples
     --------
@@ -99,7 +99,7 @@ def evaluate(influence: Influence, s: Float) -> Float:
     Raises
     ------
     CaseError
-        The influence fails, or returns something else than one number per bond that is not negative.
+        The influence function fails, or does not return one non-negative number per bond.
     """
     if len(s) == 0:
         return np.zeros(0)

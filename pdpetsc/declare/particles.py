@@ -6,7 +6,7 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from pdpetsc.declare.cell import corners
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import SIDES, Region, View
 from pdpetsc.declare.surface import Facets
+from pdpetsc.declare.tiling import Cells, boxes, lattice, spacings, voronoi
 from pdpetsc.declared import Declared, Positive, real_numbers, shown
 from pdpetsc.errors import CaseError
 
@@ -100,6 +101,17 @@ class Particles(Declared, ABC):
         Of all parts together they are closed. None where the outlines of its facets are not known.
         """
         return None
+
+    def cells(self) -> Cells:
+        """Return the cells of all particles, for pictures: by default as ``cells_of`` makes them.
+
+        Raises
+        ------
+        CaseError
+            The source is missing or malformed.
+        """
+        whole = self.chunk(0, 1)
+        return cells_of(whole.x, whole.volume, self.thickness)
 
     @abstractmethod
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -235,6 +247,10 @@ class Lattice(Particles):
         spacing = np.full(np.count_nonzero(kept), float(self.spacing))
         return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()}, spacing)
 
+    def cells(self) -> Cells:
+        """Return the cells of the lattice."""
+        return lattice(self.chunk(0, 1).x, np.full(self.dim, self.spacing))
+
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the faces of the cells of a part without a neighbour, or with a crack before it.
 
@@ -337,6 +353,10 @@ class LatticeNodes(Particles):
         cells = self._cells
         cell = self.spacing**cells.dim * (self.thickness if cells.dim < 3 else 1.0)
         return Chunk(x, filled.mean(axis=1) * cell, {}, np.full(len(x), float(self.spacing)))
+
+    def cells(self) -> Cells:
+        """Return the cells that have particles at their corners."""
+        return replace(self._cells.cells(), particle=None)
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the shares that particles of a part have of the free faces of the cells, with tags ``-x``, ``+x``, ...
@@ -459,6 +479,13 @@ class Arrays(Particles):
     def irregular(self) -> bool:
         """Return whether the particles do not fill the cells of a lattice."""
         return self._lattice() is None
+
+    def cells(self) -> Cells:
+        """Return cells that end at the given facets, or as ``cells_of`` makes them."""
+        x = np.asarray(self.x, dtype=float)
+        if self.facets is not None and x.shape[1] == 2 and self.irregular:
+            return voronoi(x, self.facets.arrays[:3])
+        return super().cells()
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets that were given, or those of the lattice whose cells the particles fill.
@@ -616,6 +643,31 @@ def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np
     if not regular or len(flat) > 1 or abs(np.prod(sizes) - whole) > ALONG * whole:
         return None
     return cell, sizes
+
+
+def cells_of(x: Float, volume: Float, thickness: float) -> Cells:
+    """Return cells of particles of which positions and volumes are known.
+
+    These are the cells of a lattice, else Voronoi cells in the plane, else boxes of the volumes, with sides of 0.5 to
+    1.5 spacings.
+
+    Parameters
+    ----------
+    x : (n, dim) float64
+        Positions [length].
+    volume : (n,) float64
+        Volumes [length^dim times thickness].
+    thickness : float
+        Of a plane body [length], cross-section of a line body [length^2], 1 of a solid one.
+    """
+    found = lattice_cells(x, volume, thickness)
+    if found is not None:
+        return lattice(x, found[1])
+    if x.shape[1] == 2 and len(x) > 1:
+        return voronoi(x, None)
+    side = (volume / (thickness if x.shape[1] < 3 else 1.0)) ** (1.0 / x.shape[1])
+    spacing = spacings(x) if len(x) > 1 else side
+    return boxes(x, np.clip(side, 0.5 * spacing, 1.5 * spacing))
 
 
 def _refuse_nearest(_: float) -> float:

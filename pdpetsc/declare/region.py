@@ -1,4 +1,4 @@
-"""Regions: which particles a condition, a material or a quantity applies to. Combine with ``|``, ``&`` and ``~``."""
+"""Regions: sets of particles for conditions, materials and quantities. Combine with ``|``, ``&`` and ``~``."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declared import Declared, called
 from pdpetsc.errors import CaseError
 
-# The sides of a box; those of a body of d dimensions are the first 2 d.
+# The sides of a box; a body of d dimensions has the first 2 d.
 Side: TypeAlias = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 SIDES: tuple[Side, ...] = get_args(Side)
 
 # Particles whose distance exceeds the smallest one by less than this share of it are equally near.
 EQUALLY_NEAR = 1e-6
-# What lies this near to the outermost side is on it, as a share of the extent of the body.
+# Particles this near to the outermost side are on it, as a share of the extent of the body.
 ON_FACE = 1e-9
 
 
 @dataclass(frozen=True)
 class View:
-    """The particles a region is asked about.
+    """The particles from which a region selects.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class View:
     sets : mapping of str to (n,) bool
         Named sets.
     minimum : callable
-        Smallest of a number over all parts of the cloud.
+        Smallest value of a number over all parts of the cloud.
     normal : (n, dim) float64 or None
-        Outward normals of any length, if facets are asked about.
+        Outward normals of any length, if a region selects facets.
     """
 
     x: Float
@@ -50,10 +50,10 @@ class Region(Declared, ABC):
 
     @abstractmethod
     def mask(self, view: View) -> Mask:
-        """Return which particles belong to the region, (n,) bool (collective for ``Nearest``)."""
+        """Return True for particles in the region, (n,) bool (collective for ``Nearest``)."""
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
+        """Raise CaseError if the region does not fit a body of ``dim`` dimensions."""
 
     def __or__(self, other: Region) -> Region:
         return _Union(self, other)
@@ -127,12 +127,12 @@ class Box(Region):
     high: float | Sequence[float]
 
     def mask(self, view: View) -> Mask:
-        """Return which particles lie in the box."""
+        """Return True for particles in the box."""
         low, high = self._corners(view.x.shape[1])
         return np.asarray(np.all((view.x >= low) & (view.x <= high), axis=1))
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the corners have another number of coordinates."""
+        """Raise CaseError if the corners do not have ``dim`` coordinates."""
         self._corners(dim)
 
     def _corners(self, dim: int) -> tuple[Float, Float]:
@@ -155,7 +155,7 @@ class Slab(Region):
     high: float = np.inf
 
     def mask(self, view: View) -> Mask:
-        """Return which particles lie in the slab."""
+        """Return True for particles in the slab."""
         self.check(view.x.shape[1])
         s = view.x[:, "xyz".index(self.axis)]
         return np.asarray((s >= self.low) & (s <= self.high))
@@ -185,12 +185,12 @@ class Sphere(Region):
             raise CaseError(f"A Sphere needs a radius that is not negative, not {self.radius}.")
 
     def mask(self, view: View) -> Mask:
-        """Return which particles lie in the sphere."""
+        """Return True for particles in the sphere."""
         distance = np.linalg.norm(view.x - _vector(self.centre, view.x.shape[1], "centre of Sphere"), axis=1)
         return np.asarray(distance <= self.radius)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the centre has another number of coordinates."""
+        """Raise CaseError if the centre does not have ``dim`` coordinates."""
         _vector(self.centre, dim, "centre of Sphere")
 
 
@@ -207,19 +207,19 @@ class Nearest(Region):
     point: float | Sequence[float]
 
     def mask(self, view: View) -> Mask:
-        """Return which particles are nearest (collective)."""
+        """Return True for the nearest particles (collective)."""
         distance = np.linalg.norm(view.x - _vector(self.point, view.x.shape[1], "point of Nearest"), axis=1)
         least = view.minimum(float(distance.min(initial=np.inf)))
         return np.asarray(distance <= least * (1.0 + EQUALLY_NEAR) + 1e-300)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the point has another number of coordinates."""
+        """Raise CaseError if the point does not have ``dim`` coordinates."""
         _vector(self.point, dim, "point of Nearest")
 
 
 @dataclass(frozen=True)
 class Where(Region):
-    """Particles for which ``predicate(x)`` is true; it gets (n, dim) positions and returns (n,) bool.
+    """Particles for which ``predicate(x)`` is true; ``x`` are positions (n, dim), the result is (n,) bool.
 
     Examples
     --------
@@ -230,7 +230,7 @@ class Where(Region):
     predicate: Callable[[Float], Mask]
 
     def mask(self, view: View) -> Mask:
-        """Return the predicate's answer."""
+        """Return the values of the predicate."""
         if len(view.x) == 0:
             return np.zeros(0, dtype=bool)
         answer = np.asarray(called("predicate of Where", self.predicate, view.x))
@@ -243,15 +243,15 @@ class Where(Region):
 
 @dataclass(frozen=True)
 class Face(Region):
-    """The side of a body that is furthest along an axis: its particles there, or the facets of its surface there.
+    """The outermost side of a body along an axis: its particles, or the facets of its surface.
 
-    Conditions take the name of a side in its place. Particles of a ``Lattice`` are in the middle of cells, so that its
-    outermost layer is half a cell behind the side; those of ``LatticeNodes`` are on it.
+    Conditions and quantities accept the name of the side instead. The outermost particles of a ``Lattice`` are half a
+    cell behind the side; those of ``LatticeNodes`` are on it.
 
     Parameters
     ----------
     side : {"-x", "+x", "-y", "+y", "-z", "+z"}
-        Which.
+        The side.
 
     Examples
     --------
@@ -269,7 +269,7 @@ class Face(Region):
         return "xyz".index(self.side[1])
 
     def mask(self, view: View) -> Mask:
-        """Return the outermost particles, or the outermost facets that look along the axis (collective)."""
+        """Return True for the outermost particles, or the outermost facets normal to the axis (collective)."""
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
         furthest = -view.minimum(float((-along).min(initial=np.inf)))
@@ -286,7 +286,7 @@ class Face(Region):
 
 
 def accept_region_name(declared: object) -> None:
-    """Replace the name of a side or a set in the field ``region`` of what a case declares by the region."""
+    """Replace the name of a side or set in the field ``region`` of a declaration by the region."""
     name = getattr(declared, "region", None)
     if isinstance(name, str):
         object.__setattr__(declared, "region", Face(name) if name in SIDES else Named(name))
@@ -307,7 +307,11 @@ class Named(Region):
     def mask(self, view: View) -> Mask:
         """Return the set."""
         if self.name not in view.sets:
-            raise CaseError(f"There is no set {self.name!r}; the particles have {sorted(view.sets) or 'no sets'}.")
+            sides = ", ".join(repr(side) for side in SIDES[: 2 * view.x.shape[1]])
+            raise CaseError(
+                f"There is no set {self.name!r}; the particles have {sorted(view.sets) or 'no sets'}, and the sides "
+                f"{sides}."
+            )
         return view.sets[self.name]
 
 

@@ -1,4 +1,4 @@
-"""Schedules: the factor that a condition's value is multiplied with at step time ``t`` in [0, 1]."""
+"""Schedules: the factor on the value of a condition at load parameter ``t`` in [0, 1]."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Hold:
-    """Factor 1 at every time.
+    """Factor 1 at every load parameter.
 
     Examples
     --------
@@ -48,12 +48,12 @@ class Hold:
 
 @dataclass(frozen=True)
 class Table(Declared):
-    """Factors at given step times: linear in between, constant before the first and after the last.
+    """Factors at given load parameters: linear in between, constant before the first and after the last.
 
     Parameters
     ----------
     times : sequence of float
-        At least two step times, ascending [-].
+        At least two load parameters, ascending [-].
     factors : sequence of float
         The factor at each [-].
 
@@ -73,6 +73,6 @@ class Table(Declared):
             raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
 
     def __call__(self, t: float) -> float:
-        """Return the interpolated factor; factors (n,) for an array (n,), as of temperatures."""
+        """Return the interpolated factor; factors (n,) for an array (n,), for example of temperatures."""
         found = np.interp(t, self.times, self.factors)
         return float(found) if np.ndim(found) == 0 else found  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""How equilibrium of a load step is found."""
+"""Solvers of a load step."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Needs:
-    """What a solver needs of the body, its conditions and the linear algebra.
+    """Requirements of a solver on the body, its conditions and the linear algebra.
 
     Attributes
     ----------
     tangent : {"any", "assembled", "none"}
-        ``any``: the tangent may be a matrix or be applied without one; ``assembled``: it must be a matrix; ``none``:
-        the solver needs no tangent.
+        ``any``: the tangent may be a matrix or matrix-free; ``assembled``: it must be a matrix; ``none``: the solver
+        uses no tangent.
     proportional : {"no", "up to the whole load", "at any load"}
-        For which step times every condition must be the step time times its value at step time 1.
+        The load parameters for which every condition must be the load parameter times its value at load parameter 1.
     piecewise_linear : bool
-        Whether forces must be linear in the displacement where no bond fails.
+        If True, forces must be linear in the displacement as long as no bond fails.
     symmetric : bool
-        Whether the tangent of every term must be symmetric.
+        If True, the tangent of every term must be symmetric.
     """
 
     tangent: Literal["any", "assembled", "none"] = "any"
@@ -34,21 +34,21 @@ class Needs:
 
 
 class DeclaredSolver(Declared):
-    """How equilibrium is found, as a case declares it; ``pdpetsc.solvers.table`` knows what does it.
+    """Declaration of a solver in a case; ``pdpetsc.solvers.table`` has its implementation.
 
     Attributes
     ----------
     title : str
-        What messages call it.
+        Name in messages.
     needs : Needs
-        What it needs.
+        Its requirements.
     of_energy : bool
-        Whether its residual is the gradient of an energy where the terms have one, so that a line search may look for
-        a zero of the residual along the step.
+        If True, the residual is the gradient of an energy if the terms have one. A line search may then search for a
+        zero of the residual along the step.
     finds_load : bool
-        Whether the load factor is one of its unknowns: it may then take any value, and unstable equilibria are wanted.
+        If True, the load factor is an unknown: it may have any value, and unstable equilibria are accepted.
     restarts : bool
-        Whether a run with it can go on from a checkpoint.
+        If True, a run can continue from a checkpoint.
     """
 
     title: ClassVar[str]
@@ -58,12 +58,12 @@ class DeclaredSolver(Declared):
     restarts: ClassVar[bool] = True
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions lacks what the declaration names (not collective)."""
+        """Raise CaseError if the declaration does not fit a body of ``dim`` dimensions (not collective)."""
 
 
 @dataclass(frozen=True)
 class Newton(DeclaredSolver):
-    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``.
+    """Newton's method with the analytic tangent, by PETSc's SNES; its options are part of ``Case.options``.
 
     Examples
     --------
@@ -76,13 +76,13 @@ class Newton(DeclaredSolver):
 
 @dataclass(frozen=True)
 class DynamicRelaxation(DeclaredSolver):
-    """Adaptive dynamic relaxation: damped motion in time until the body is at rest, without a matrix.
+    """Adaptive dynamic relaxation: damped motion in artificial time until the body is at rest, without a matrix.
 
     Parameters
     ----------
     tolerance : float
-        Bound on the residual and the change of displacement, each over its first value in the load step, and on the
-        residual over the norm of external forces and reactions [-].
+        Bound on the residual and on the change of displacement, both relative to their first value in the load step,
+        and on the residual relative to the norm of external forces and reactions [-].
     most : int
         Largest number of time steps in a load step.
 
@@ -101,21 +101,21 @@ class DynamicRelaxation(DeclaredSolver):
 
 @dataclass(frozen=True)
 class EventDriven(DeclaredSolver):
-    """From one failing bond to the next, without iterations: for bodies whose laws are piecewise linear.
+    """Event-driven solver: computes the load of each failing bond without iterations, for piecewise linear laws.
 
-    Between events everything is linear in the step time, so the time of the next failure is known exactly. A failing
-    bond releases its force while the load goes up or down as equilibrium demands: the step time, to which all
-    conditions must be proportional, need not grow, and snap-back is followed.
+    Between events the solution is linear in the load parameter, which determines the next failure exactly. A failing
+    bond releases its force while the load increases or decreases to maintain equilibrium. All conditions must be
+    proportional to the load parameter, which may decrease: snap-back is followed.
 
     Parameters
     ----------
     updates : int, optional
-        Changed bonds at which the matrix is factored anew; until then they are corrections to the old factor. By
-        default their number grows with the square root of the number of unknowns.
+        Number of changed bonds after which the matrix is factored again; until then they are corrections of the old
+        factor. By default it is proportional to the square root of the number of unknowns.
     most : int
         Largest number of events.
     fields_every : int
-        Fields are written every so many events, and at the end; 0 for the end only.
+        Number of events between written fields; fields are also written at the end. 0: at the end only.
 
     Examples
     --------
@@ -135,14 +135,14 @@ class EventDriven(DeclaredSolver):
 
 @dataclass(frozen=True)
 class BondStretch(Declared):
-    """Measure of a path: the drive of the most driven bonds that have not failed, of stretches the most stretched ones.
+    """Measure of a path: the largest driving variable of the bonds that have not failed, such as the stretch.
 
-    It grows from step to step, whatever the load does.
+    It increases in every step, also if the load decreases.
 
     Parameters
     ----------
     step : float
-        Largest growth of what drives their damage in a step, of a stretch over the critical one [-].
+        Largest growth of the driving variable in a step, such as stretch over critical stretch [-].
 
     Examples
     --------
@@ -160,19 +160,19 @@ class BondStretch(Declared):
 class Opening(Declared):
     """Measure of a path: the mean displacement of a region relative to another, such as the opening of a notch.
 
-    It grows from step to step, whatever the load does.
+    It increases in every step, also if the load decreases.
 
     Parameters
     ----------
     component : str
         ``"x"``, ``"y"`` or ``"z"``.
     region : Region
-        The region that moves in the direction of the component.
+        The region that moves along the component.
     against : Region, optional
-        The region whose mean displacement is subtracted; nothing is where absent.
+        The region whose mean displacement is subtracted, if declared.
     step, end : float
-        Largest growth in a step, and the value at which the run ends [length]; both are positive: exchange the
-        regions if they close.
+        Largest growth in a step, and the value at which the run ends [length]. Both are positive; exchange the regions
+        if they approach each other.
 
     Examples
     --------
@@ -188,7 +188,7 @@ class Opening(Declared):
     end: Positive = field(kw_only=True)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions has no such component or cannot select its regions."""
+        """Raise CaseError if the component or a region does not fit a body of ``dim`` dimensions."""
         if self.component not in "xyz"[:dim]:
             raise CaseError(f"The Opening of a {dim}-dimensional body has no component {self.component}.")
         for side in (self.region, self.against):
@@ -201,14 +201,14 @@ class Opening(Declared):
 
 @dataclass(frozen=True)
 class Dissipation(Declared):
-    """Measure of a path: the energy that damage at gradient points has dissipated (``PointDamage``).
+    """Measure of a path: the energy dissipated by damage at gradient points (``PointDamage``).
 
-    It grows whatever the load does, as long as a crack does. As long as nothing fails the load grows.
+    It increases while a crack grows, also if the load decreases. As long as no point fails, the load increases.
 
     Parameters
     ----------
     step : float
-        Largest growth in a step, to first order [energy], positive; about what a crack dissipates that grows by a
+        Largest growth in a step, to first order [energy], positive; about the energy that a crack dissipates per
         spacing.
 
     Examples
@@ -225,21 +225,21 @@ class Dissipation(Declared):
 
 @dataclass(frozen=True)
 class PathFollowing(DeclaredSolver):
-    """Newton's method along the path of equilibria, which may turn back: the load is an unknown.
+    """Newton's method along the path of equilibria, with the load as an unknown; follows snap-back.
 
-    All conditions are multiplied with one factor, which rises and falls as equilibrium demands while the
-    ``measure`` grows. Step times in history and log are that factor; the steps of the case do not matter.
+    All conditions are multiplied by one load factor, which increases or decreases while the ``measure`` grows. It is
+    ``t`` in history and log. The steps of the case are not used.
 
     Parameters
     ----------
     measure : BondStretch, Opening or Dissipation
-        What grows from step to step.
+        The quantity that grows in every step.
     first : float
-        Growth of the load factor in the first step [-], when no bond is stretched that the measure could prescribe.
+        Growth of the load factor in the first step [-], in which no bond is stretched yet.
     smallest : float
-        Smallest step of the measure over the largest one [-]; when it fails too the run ends with exit status 1.
+        Smallest step of the measure over the largest one [-]; if it fails, the run ends with exit status 1.
     until : float
-        The run ends when the forces have fallen to this share of the largest so far [-].
+        The run ends when the forces have decreased to this share of the largest so far [-].
     most : int
         Largest number of steps.
     bonds_at_once : int, optional
@@ -260,7 +260,7 @@ class PathFollowing(DeclaredSolver):
 
     title = "Path following"
     needs = Needs(proportional="at any load")
-    # With the constraint as one more row the residual is not the gradient of an energy.
+    # With the constraint as an additional row the residual is not the gradient of an energy.
     of_energy = False
     finds_load = True
 
@@ -273,14 +273,14 @@ class PathFollowing(DeclaredSolver):
             )
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the measure names what a body of ``dim`` dimensions lacks."""
+        """Raise CaseError if the measure does not fit a body of ``dim`` dimensions."""
         self.measure.check(dim)
 
 
-# What a case takes as its solver; messages name the classes of this module.
+# Solvers that a case accepts; messages name the classes of this module.
 AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | DeclaredSolver
 
-# Every solver with its default options, under the word by which the command line selects it.
+# Every solver with its default options, by its word on the command line.
 SOLVERS: dict[str, DeclaredSolver] = {
     "newton": Newton(),
     "relaxation": DynamicRelaxation(),

@@ -1,4 +1,4 @@
-"""How the load is stepped from step time 0 to 1."""
+"""Load steps from load parameter 0 to 1."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pdpetsc.errors import CaseError
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
 # Files number steps with five digits.
 MOST_STEPS = 99_999
-# A shorter step is lost in the rounding of the step time.
+# A shorter step is below the rounding of the load parameter.
 LEAST_STEP = 1e-8
 
 
 def checked_times(name: str, times: Sequence[float]) -> tuple[float, ...]:
-    """Return step times, or none; raise CaseError unless they ascend from above 0 to 1, ``LEAST_STEP`` apart."""
+    """Return the load parameters; raise CaseError unless they ascend from above 0 to 1, ``LEAST_STEP`` apart."""
     given = tuple(float(t) for t in times)
     if given and not (given[-1] == 1.0 and min(_lengths(given)) >= LEAST_STEP and len(given) <= MOST_STEPS):
         raise CaseError(
@@ -34,30 +34,31 @@ def _lengths(times: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class Steps(Declared):
-    """Load steps, equal or to given times; one that does not converge is halved, and steps grow again after easy ones.
+    """Equal load steps, or steps to given load parameters; halved if Newton fails, enlarged after easy steps.
 
     Parameters
     ----------
     count : int
-        Number of equal steps; leave it out with ``times``.
+        Number of equal steps; omit it with ``times``.
     smallest : float
-        Smallest step as a share of the whole load [-]; when it fails too the run ends with exit status 1. By default
-        1/64 of the shortest step.
+        Smallest step as a share of the whole load [-]; if it fails, the run ends with exit status 1. By default 1/64 of
+        the shortest step.
     bonds_at_once : int, optional
-        Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
-        tie with it, where bonds snap, and all that have lost their force where they soften.
+        Number of bonds that break before equilibrium is solved again, in the order of their driving variables. By
+        default one for bonds that snap, with those of equal driving variable, and all that have lost their force for
+        bonds that soften.
     unstable : {"warn", "shorten", "refuse"}
-        What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force;
-        only the factorisation of a direct linear solver shows that. ``warn`` says so and goes on. ``shorten`` takes it
-        as a step that failed, so that the run ends within the smallest step of the critical load; ``refuse`` ends the
-        run there. Both end a run in which nothing counts pivots: the solver is iterative, the tangent not symmetric, or
-        damage was held during a jump.
+        Action at an equilibrium whose tangent has negative pivots, such as of a column above its critical force. Only
+        the factorisation of a direct linear solver counts them. ``warn`` continues with a warning. ``shorten`` treats
+        the step as failed, so that the run ends within the smallest step of the critical load. ``refuse`` ends the run.
+        Both end a run whose pivots are not counted: the solver is iterative, the tangent not symmetric, or damage was
+        held during a jump.
     plastic_growth : float, optional
-        Largest growth of the accumulated plastic strain at any point in a step [-]: a step with more is taken as one
-        that failed, and a step grows only as far as the growth of the last one allows.
+        Largest growth of the accumulated plastic strain at any point in a step [-]. A step with a larger growth is
+        repeated with a smaller size, and the size of the next step is limited accordingly.
     times : sequence of float, optional
-        Step times at which the steps end [-], ascending from above 0 to 1. Short steps after a jump of a load or a
-        displacement resolve it: a material that relaxes sees the load grow evenly over each step.
+        Load parameters at which the steps end [-], ascending from above 0 to 1. Use short steps after a jump of a load
+        or displacement: materials that relax assume linear growth within each step.
 
     Examples
     --------
@@ -90,12 +91,12 @@ class Steps(Declared):
 
     @property
     def _shortest(self) -> float:
-        """Return the shortest step that is meant [-]."""
+        """Return the shortest declared step [-]."""
         return min(_lengths(self.times), default=1.0 / self.count)
 
     @property
     def first(self) -> float:
-        """Return the largest first step [-]: it ends at the first of the ``stops``."""
+        """Return the largest first step [-]; it ends at the first of the ``stops``."""
         return self.largest
 
     @property
@@ -109,7 +110,7 @@ class Steps(Declared):
         return max(LEAST_STEP, self._shortest / 64.0) if self.smallest is None else self.smallest
 
     def stops(self) -> list[float]:
-        """Return the step times that are met exactly, ascending, ending with 1."""
+        """Return the load parameters at which steps must end, ascending to 1."""
         return list(self.times) or [(n + 1) / self.count for n in range(self.count)]
 
 
@@ -124,7 +125,7 @@ class AdaptiveSteps(Declared):
     bonds_at_once, unstable, plastic_growth
         As in ``Steps``.
     times : sequence of float, optional
-        Step times that are met exactly [-], ascending from above 0 to 1, as where a load jumps; any steps lie between.
+        Load parameters at which steps must end [-], ascending from above 0 to 1, for example at jumps of a load.
 
     Examples
     --------
@@ -157,5 +158,5 @@ class AdaptiveSteps(Declared):
         return self.smallest
 
     def stops(self) -> list[float]:
-        """Return the step times that are met exactly, ascending, ending with 1."""
+        """Return the load parameters at which steps must end, ascending to 1."""
         return list(self.times) or [1.0]

@@ -1,4 +1,4 @@
-"""Supports on a side of a body, by particles on the side or beyond it."""
+"""Supports of a side of a body, and of a patch in the mean."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Support(Condition):
         """Return the lattice with the layers that hold its side, and the mirror planes."""
 
     def _on(self, particles: Particles) -> Region:
-        """Return the region of particles on the surface; raise CaseError if the particles lie behind it."""
+        """Return the region of particles on the surface; raise CaseError if particles are behind the surface."""
         if not particles.on_surface:
             kind = type(particles).__name__
             raise CaseError(
@@ -43,11 +43,11 @@ class _Support(Condition):
 
 @dataclass(frozen=True)
 class Clamp(_Support):
-    """A side that does not move.
+    """Clamp a side of the body: no displacement.
 
-    Particles on the surface (``LatticeNodes``, ``MeshNodes``) are held themselves: of second order with conforming
-    weights. Those of a ``Lattice`` lie half a cell behind the side: as many layers of fictitious particles as the
-    horizon reaches are added beyond it, and held. Other particles are refused.
+    Particles on the surface (``LatticeNodes``, ``MeshNodes``) are held themselves; the error is of second order with
+    conforming weights. Particles of a ``Lattice`` are half a cell behind the side: layers of fictitious particles as
+    deep as the horizon are added beyond it, and held. Other particles are refused.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Clamp(_Support):
     Raises
     ------
     CaseError
-        In a case: the particles lie behind the side, and it is not one of a ``Lattice``.
+        In a case: the particles are behind the side, and it is not a side of a ``Lattice``.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Clamp(_Support):
         return replace(lattice, fictitious={**lattice.fictitious, side: depth}), []
 
     def put(self, onto: Any, name: str) -> None:
-        """Hold all components."""
+        """Prescribe zero for all components."""
         if isinstance(onto.particles, Lattice):
             region: Region = Named(f"fictitious {self._side().side}")
         else:
@@ -86,11 +86,11 @@ class Clamp(_Support):
 
 @dataclass(frozen=True)
 class Roller(_Support):
-    """A side that slides freely in its plane and does not leave it.
+    """Hold a side along its normal; it slides freely in its plane.
 
-    Particles on the surface (``LatticeNodes``, ``MeshNodes``) have no displacement across it. The side of a ``Lattice``
-    is a mirror plane, ``Symmetry``, which holds it to round-off; loads, reactions and energies are those of the body.
-    Other particles are refused.
+    Particles on the surface (``LatticeNodes``, ``MeshNodes``) have no displacement along the normal. The side of a
+    ``Lattice`` becomes a mirror plane, ``Symmetry``, which is exact to round-off; loads, reactions and energies are
+    those of the body. Other particles are refused.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Roller(_Support):
     Raises
     ------
     CaseError
-        In a case: as for ``Clamp``, or the normal of a set or region is not given.
+        In a case: as for ``Clamp``, or ``axis`` is missing for a set or region.
 
     Examples
     --------
@@ -125,7 +125,7 @@ class Roller(_Support):
         return lattice, [Symmetry("xyz"[face.axis], float(at))]  # type: ignore[arg-type]
 
     def put(self, onto: Any, name: str) -> None:
-        """Hold the component across the side; a mirror plane does so by itself."""
+        """Prescribe zero for the normal component; a mirror plane needs no condition."""
         if isinstance(onto.particles, Lattice):
             return
         across = self.axis if self.axis is not None else self._side().side[1]
@@ -135,16 +135,16 @@ class Roller(_Support):
 
 @dataclass(frozen=True)
 class PointSupport(VectorCondition):
-    """A support or a load pad whose mean displacement is prescribed, and which is free to turn.
+    """Prescribe the mean displacement of a patch that is free to rotate, such as a support or a load pad.
 
-    The volume-weighted mean ``sum_i V_i u_i / sum_i V_i`` over the particles of a region has the given components. The
-    reaction acts on the particles in proportion to their volumes. ``Displacement`` would hold each particle, which two
-    particles are enough to make a clamp of.
+    The volume-weighted mean ``sum_i V_i u_i / sum_i V_i`` over the particles of a region has the declared components.
+    The reaction acts on the particles in proportion to their volumes. ``Displacement`` would hold each particle, which
+    prevents rotation already for two particles.
 
     Parameters
     ----------
     region : Region or str
-        The patch; particles of a patch of two to four spacings carry the reaction without a singular stress.
+        The patch; a size of two to four spacings avoids a singular stress.
     x, y, z : float or callable, optional
         Components of the mean displacement [length]: numbers, or functions of the middle of the patch (1, dim) and the
         load parameter that return one value.
@@ -164,14 +164,14 @@ class PointSupport(VectorCondition):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Tie one particle of the patch to the others."""
+        """Constrain one particle of the patch by the others."""
         onto.mean_displacement(self, name)
 
 
 def beyond_sides(
     particles: Particles, conditions: Sequence[Condition], horizon: object
 ) -> tuple[Particles, list[Symmetry]]:
-    """Return the particles with the layers that supports need beyond sides, and the mirror planes that they are.
+    """Return the particles with the layers that supports add beyond sides, and the mirror planes of supports.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The surface of a body as facets: what the divergence theorem and loads on faces are made with."""
+"""The surface of a body as facets, for the divergence theorem and for loads on faces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Facets(Declared):
-    """Flat pieces of the surface of a body, each a face of the cell of one particle.
+    """Flat facets of the surface of a body, each a face of the cell of one particle.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Facets(Declared):
     area : (n, dim) array_like
         Outward vector areas [area; length times thickness in the plane, the cross-section on a line].
     particle : (n,) array_like of int
-        The particle whose cell each facet bounds, in the order of creation.
+        The particle of each facet, whose cell it bounds, in the order of creation.
     tags : mapping of str to (n,) bool
         Names of parts of the surface, for loads.
 
@@ -73,7 +73,7 @@ class Facets(Declared):
         )
 
     def of_particles(self, first: int, last: int) -> Facets:
-        """Return the facets of the particles from ``first`` to before ``last``, which is then counted from 0."""
+        """Return the facets of the particles ``first`` to ``last - 1``, with particles counted from ``first``."""
         x, area, particle, tags = self.arrays
         mine = (particle >= first) & (particle < last)
         return Facets(x[mine], area[mine], particle[mine] - first, {name: flags[mine] for name, flags in tags.items()})

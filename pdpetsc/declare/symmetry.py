@@ -10,25 +10,25 @@ from pdpetsc.declared import Declared, Finite
 
 @dataclass(frozen=True)
 class Symmetry(Declared):
-    """A mirror plane across an axis: the particles are one side of a body, whose other side is their mirror image.
+    """A mirror plane normal to an axis: the particles are one side of a body, the other side is their mirror image.
 
-    Families reach across the plane, where the images of the particles move as these do, with the opposite displacement
-    along the axis, and have the same bonds, which break with those of the particles. A part with planes is the whole
-    body to round-off wherever its material and its scheme have the symmetry too; nothing has to be held on the plane.
-    Particles lie on one side, none on the plane itself: half a cell away from it, where cells fill the body up to it.
-    Forces, volumes, energies, reactions and loads are those of the part, half of the body's for each plane.
+    Families extend across the plane. Images have the displacement of their particles, with the opposite component along
+    the axis, and the same bonds, which break together. Results equal those of the whole body to round-off if material
+    and scheme are symmetric too; no condition is needed on the plane. All particles must be on one side of the plane,
+    at half a cell from it if cells fill the body. Forces, volumes, energies, reactions and loads are those of the part:
+    half of the body per plane.
 
     Parameters
     ----------
     axis : {"x", "y", "z"}
         The normal of the plane.
     at : float
-        Where the plane crosses that axis [length].
+        Position of the plane along the axis [length].
 
     Raises
     ------
     CaseError
-        The plane is nowhere.
+        The position is not finite.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Particles from text files, as Peridigm, PeriLab and scripts write them.
+"""Particles from text files of Peridigm, PeriLab and scripts.
 
-Every rank reads the whole file and keeps its own part of the particles.
+Every rank reads the whole file and stores its part of the particles.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from pdpetsc.declared import Positive, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
 
-# What the columns of a text cloud are called; PeriLab says block_id.
+# Names of the columns of a text cloud; PeriLab writes block_id.
 _COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
-# A place this near to a particle, as a share of the extent of the cloud, is that of the particle.
+# A position this near to a particle, as a share of the extent of the cloud, belongs to the particle.
 _THERE = 1e-9
 
 
 @dataclass(frozen=True)
 class TextFile(Particles):
-    """Particles from a text file with lines ``x y z block volume``, as Peridigm and PeriLab use it.
+    """Particles from a text file with lines ``x y z block volume``, as of Peridigm and PeriLab.
 
     Parameters
     ----------
     path : str or Path
-        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. Columns are parted
-        by blanks or tabs, or by commas, or by semicolons. A first line such as ``header: x y block_id volume``, one of
-        these words alone, or a comment of them says what the columns are: they may then stand in any order, there may
-        be others, and no block. A plane cloud may have three coordinates, of which the last is constant. Block ``b``
-        becomes the set ``block_b``.
+        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. Columns are
+        separated by blanks or tabs, commas, or semicolons. A first line such as ``header: x y block_id volume``, these
+        words alone, or a comment of them names the columns. Named columns may have any order, there may be others, and
+        no block. A plane cloud may have three coordinates with a constant last one. Block ``b`` becomes the set
+        ``block_b``.
     node_sets : mapping of str to str, Path or sequence of int
-        Particle numbers, counted from 1 in the order of the file, or files with them; each becomes a set.
+        Particle numbers, counted from 1 in the order of the file, or files of them; each becomes a set.
     thickness : float
-        Out-of-plane thickness [length] already contained in the volumes.
+        Out-of-plane thickness [length], contained in the volumes.
     dim : int, optional
-        How many of the coordinates are those of the body. By default those at the end that are the same for all
-        particles are left out: particles in a plane are a plane body then, which ``dim=3`` says they are not.
+        Number of coordinates of the body. By default trailing coordinates that are equal for all particles are dropped:
+        particles in one plane are a plane body, unless ``dim=3`` is declared.
 
     Examples
     --------
@@ -62,7 +62,7 @@ class TextFile(Particles):
     dim: Literal[1, 2, 3] | None = None
 
     def input_files(self) -> list[Path]:
-        """Return the file of the particles and the files of their sets."""
+        """Return the paths of the cloud and of its set files."""
         return [Path(self.path), *(Path(file) for file in self.node_sets.values() if isinstance(file, str | Path))]
 
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -71,17 +71,17 @@ class TextFile(Particles):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the particles do not fill the cells of a lattice."""
+        """Return True unless the particles fill the cells of a lattice."""
         return self._arrays().irregular
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return what Arrays of the same particles return."""
+        """Return the surface of ``Arrays`` with these particles."""
         return self._arrays().surface(part, parts, cracks)
 
     def column(self, name: str) -> Float:
         r"""Return a column of the file by its name, one number per particle (n,) in the order of creation.
 
-        It is what ``horizon=`` and ``pd.Temperature`` take.
+        Use it for ``horizon=`` and ``pd.Temperature``.
 
         Raises
         ------
@@ -109,17 +109,17 @@ class TextFile(Particles):
 
     @property
     def columns(self) -> list[str] | None:
-        """Return the names of the columns, None where the file has none."""
+        """Return the names of the columns; None for a file without names."""
         return _read(Path(self.path))[1]
 
     def has(self, name: str) -> bool:
-        """Return whether the file has such a column, by its names or, without names, as ``x y z block volume``."""
+        """Return True if the file has a column of this name; without names, columns are ``x y z block volume``."""
         _, names, table = _read(Path(self.path))
         have = names if names is not None else [*"xyz"[: table.shape[1] - 2], "block", "volume"]
         return _COLUMNS.get(name.lower(), name.lower()) in have
 
     def function(self, name: str) -> Column:
-        """Return a column of the file as a function of the positions of particles, as orientations and loads take it.
+        """Return a column of the file as a function of particle positions, for orientations and loads.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class TextFile(Particles):
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a text cloud as a function of positions; ``TextFile.function`` makes it.
+    """A column of a text cloud as a function of positions; created by ``TextFile.function``.
 
     Parameters
     ----------
@@ -196,12 +196,12 @@ class Column:
         return TextFile(self.path, dim=self.dim)
 
     def __call__(self, x: Float, t: float = 0.0) -> Float:
-        """Return the values (n,) of the particles at positions ``x`` (n, dim), at any step time.
+        """Return the values (n,) of the particles at positions ``x`` (n, dim); ``t`` is not used.
 
         Raises
         ------
         CaseError
-            There is no particle at one of them.
+            A position is not that of a particle.
         """
         tree, values, extent = _placed(self, stamp_of(self.path))
         distance, which = tree.query(x)
@@ -215,7 +215,7 @@ class Column:
 
 @lru_cache(maxsize=8)
 def _placed(column: Column, version: tuple[int, ...] | None) -> tuple[Any, Float, float]:
-    """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
+    """Return a search tree, a column and the extent of the cloud; cached while the file is unchanged."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
     return scipy.spatial.cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
 
@@ -229,7 +229,7 @@ def without_constant(x: Float, at_least: int = 1) -> Float:
 
 
 def _members(path: str | Path | None, given: object, name: str, count: int) -> Mask:
-    """Return the flags of a set of particles (count,) that a file or a list has by numbers from 1 on."""
+    """Return the flags of a set of particles (count,), given by numbers from 1 on in a file or a list."""
     if path is None:
         what = f"Node set {name!r}"
         try:
@@ -240,7 +240,7 @@ def _members(path: str | Path | None, given: object, name: str, count: int) -> M
         what = str(path)
         rows = [row for row in _lines(Path(path)) if row.split("#", 1)[0].strip()]
         first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
-        # Several numbers may stand in a line, and not as many in each.
+        # Lines may have several numbers, not the same number in each.
         text = " ".join(row.split("#", 1)[0].replace(",", " ") for row in rows[first:])
         members = np.ravel(_table(Path(path), [text])) if text.strip() else np.zeros(0)
         if not len(members):
@@ -255,7 +255,7 @@ def _members(path: str | Path | None, given: object, name: str, count: int) -> M
 
 
 def _read(path: Path) -> tuple[list[str], list[str] | None, Float]:
-    """Return the lines of a cloud, what its columns are called, None where nothing says so, and the table."""
+    """Return the lines of a cloud, the names of its columns (None if unnamed), and the table."""
     lines = _lines(path)
     names, start = _header(path, lines)
     return lines, names, _table(path, lines[start:])
@@ -263,7 +263,7 @@ def _read(path: Path) -> tuple[list[str], list[str] | None, Float]:
 
 def _lines(path: Path) -> list[str]:
     if stamp_of(path) is None and not path.is_dir():
-        # Every rank reads it, more than once; a pipe without a writer would be waited for.
+        # Every rank reads it, more than once; a pipe without a writer would block.
         raise CaseError(f"Cannot read {path}: it is a pipe or a device; write its content to a file.")
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
@@ -274,18 +274,18 @@ def _lines(path: Path) -> list[str]:
 
 
 def _words(line: str) -> list[str]:
-    """Return the words of a line, parted by commas, semicolons or blanks, small."""
+    """Return the words of a line in lower case, separated by commas, semicolons or blanks."""
     mark = _separator(line)
     return [word.strip().lower() for word in (line.split(mark) if mark else line.split())]
 
 
 def _separator(line: str) -> str | None:
-    """Return what parts the columns: a comma, a semicolon, or None for blanks."""
+    """Return the separator of the columns: a comma, a semicolon, or None for blanks."""
     return next((mark for mark in ";," if mark in line), None)
 
 
 def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
-    """Return what the columns are called, None where nothing says so, and where the table starts."""
+    """Return the names of the columns (None if unnamed), and the first line of the table."""
     start = 0
     while start < len(lines) and (not lines[start].strip() or lines[start].lstrip().startswith("#")):
         words = _words(lines[start].lstrip("# \t"))
@@ -297,7 +297,7 @@ def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
     if lines[start].lstrip().lower().startswith("header:"):
         return _known(path, _words(lines[start].split(":", 1)[1])), start + 1
     words = _words(lines[start])
-    # A line of names: all of them words, two of which every cloud has.
+    # A line of names has only words, two of which every cloud has.
     if {"x", "volume"} <= set(words) and all(re.fullmatch(r"[a-z_][\w .()/%-]*", word) for word in words):
         return _known(path, words), start + 1
     return None, start
@@ -316,7 +316,7 @@ def _known(path: Path, words: list[str]) -> list[str]:
 
 
 def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float | None, Float]:
-    """Return coordinates (n, dim), blocks (n,), None where there are none, and volumes (n,)."""
+    """Return coordinates (n, dim), blocks (n,) or None, and volumes (n,)."""
     width = table.shape[1]
     if names is None:
         if not 3 <= width <= 5:
@@ -336,7 +336,7 @@ def _table(path: Path, lines: list[str]) -> Float:
     rows = [line for line in lines if line.split("#", 1)[0].strip()]
     if not rows:
         raise CaseError(f"{path} has no lines of numbers.")
-    # One separator for the whole table: a decimal comma would otherwise make two numbers of one.
+    # The whole table has one separator; otherwise a decimal comma would split a number.
     mark = _separator(rows[0].split("#", 1)[0])
     try:
         return np.asarray(np.loadtxt(rows, ndmin=2, delimiter=mark))

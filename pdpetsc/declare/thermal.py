@@ -1,4 +1,4 @@
-"""What a case says of temperature and of strains without stress."""
+"""Temperature, heat conduction and eigenstrain in a case."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, NonNegative, Positive, numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 
-# A number, a function of positions (n, dim) and step time that returns (n,) values, or one number per particle of the
-# body in the order of creation.
+# A number, a function of positions (n, dim) and load parameter that returns (n,) values, or one number per particle of
+# the body in the order of creation.
 ThermalValue: TypeAlias = float | Callable[[Float, float], Float] | NDArray[Any]
 
 
@@ -25,20 +25,20 @@ ThermalValue: TypeAlias = float | Callable[[Float, float], Float] | NDArray[Any]
 class Temperature(Condition):
     """Prescribed temperature of the particles of a region.
 
-    A number or an array is reached from the temperature at the start, ``T = T_0 + s(t) (value - T_0)``, with a schedule
-    that is the ramp by default; a function is taken as it is, or as ``value`` there where a schedule is given. ``T_0``
-    is the stress-free temperature of the material of the particle, or the one at the start of ``HeatConduction``.
+    For a number or an array, ``T = T_0 + s(t) (value - T_0)`` with the schedule ``s``, by default the ramp. A function
+    defines ``T`` itself, or ``value`` if a schedule is declared. ``T_0`` is the stress-free temperature of the material
+    of the particle, or the initial temperature of ``HeatConduction``.
 
     Parameters
     ----------
     region : Region
-        Which particles.
+        The particles.
     value : float, callable or (n,) array
-        Temperature: a number, a function of positions (n, dim) and step time that returns (n,) values, or one number
-        per particle of the body in the order of creation.
+        Temperature: a number, a function of positions (n, dim) and load parameter that returns (n,) values, or one
+        number per particle of the body in the order of creation.
     schedule : callable, optional
-        ``s``, from 0 at the temperature at the start to 1 at the value, as a function of the step time. Without a
-        function it must be given where heat conduction takes time: a ramp and a jump are two different problems there.
+        ``s`` as a function of the load parameter: 0 at the initial temperature, 1 at the value. Transient heat
+        conduction requires it for numbers and arrays, because a ramp and a jump are different problems.
 
     Examples
     --------
@@ -63,25 +63,25 @@ class Temperature(Condition):
             )
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
         onto.temperature(self, name)
 
     @property
     def timed(self) -> bool:
-        """Return whether it says how it goes on in time."""
+        """Return True if its course in time is declared."""
         return callable(self.value) or self.schedule is not None
 
     def values(self, start: Float, x: Float, gid: GlobalIndex, n_global: int, t: float) -> Float:
-        """Return the temperatures (n,) of particles ``gid`` at ``x`` whose temperature at the start is ``start``.
+        """Return the temperatures (n,) of particles ``gid`` at ``x`` with initial temperature ``start``.
 
         Raises
         ------
         CaseError
-            An array has not one number per particle of the body.
+            An array does not have one number per particle of the body.
         SolveError
             A function or the schedule fails or does not return numbers.
         """
-        if len(x) == 0:  # a function need not know what to do with no particles
+        if len(x) == 0:  # functions may not support empty arrays
             return np.zeros(0)
         if callable(self.value):
             value = evaluated("value of a Temperature condition", self.value, (len(x),), t, x, t)
@@ -102,24 +102,24 @@ class Temperature(Condition):
 
 @dataclass(frozen=True)
 class Eigenstrain(Condition):
-    """Strain without stress of a region: what its material would have if nothing held it.
+    """Eigenstrain of a region: the strain of its material if it could deform freely.
 
-    At finite strain the stress-free deformation is ``I + s(t) eps``, together with the thermal strain; the linear
-    material has the strain less it. It is a prestrain, swelling, shrinkage or the strain of a phase change.
+    At finite strain the stress-free deformation is ``I + s(t) eps``, with the thermal strain included; for linear
+    elasticity it is subtracted from the strain. Use it for prestrain, swelling, shrinkage or phase changes.
 
     Parameters
     ----------
     region : Region
-        Which particles.
+        The particles.
     xx, yy, zz, xy, yz, xz : float
-        Components [-]. Plane bodies take zz as well, for what is held or free across the plane, bars yy and zz.
+        Components [-]. Plane bodies also accept zz, the eigenstrain across the plane; bars accept yy and zz.
     schedule : callable
-        ``s``, what multiplies the components as a function of the step time; the ramp by default.
+        ``s``, the factor on the components as a function of the load parameter; by default the ramp.
 
     Raises
     ------
     CaseError
-        No component is given.
+        No component is declared.
 
     Examples
     --------
@@ -142,7 +142,7 @@ class Eigenstrain(Condition):
             raise CaseError("An Eigenstrain takes at least one component that is not zero.")
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
         onto.eigenstrain(self, name)
 
     @property
@@ -153,13 +153,13 @@ class Eigenstrain(Condition):
         )
 
     def strain(self, t: float) -> Float:
-        """Return the strain at step time ``t`` (3, 3) [-]; raises SolveError where the schedule fails."""
+        """Return the strain at load parameter ``t`` (3, 3) [-]; raises SolveError if the schedule fails."""
         return np.asarray(
             float(evaluated("schedule of an Eigenstrain condition", self.schedule, (), t, t)) * self.tensor
         )
 
     def refuse_beyond(self, dim: int, name: str) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions cannot have a component, sheared out of its plane."""
+        """Raise CaseError if a component is a shear out of the plane of a body of ``dim`` dimensions."""
         bad = [key for key in ("yz", "xz", *(("xy",) if dim == 1 else ())) if dim < 3 and getattr(self, key) != 0.0]
         if bad:
             raise CaseError(f"{name} gives {bad[0]}, which a {dim}-dimensional body cannot have; leave it out.")
@@ -167,7 +167,7 @@ class Eigenstrain(Condition):
 
 @dataclass(frozen=True)
 class _Heat(Condition):
-    """Heat that enters through or in a region."""
+    """Heat that enters a region or its surface."""
 
     region: Region
     value: Finite | Callable[[Float, float], Float]
@@ -175,11 +175,11 @@ class _Heat(Condition):
 
     @property
     def timed(self) -> bool:
-        """Return whether it says how it goes on in time."""
+        """Return True if its course in time is declared."""
         return callable(self.value) or self.schedule is not None
 
     def values(self, x: Float, t: float) -> Float:
-        """Return it (n,) at places (n, dim) and step time ``t``; raises SolveError where a function fails."""
+        """Return the heat (n,) at positions (n, dim) and load parameter ``t``, or raise SolveError."""
         return values_of(type(self).__name__, self.value, self.schedule, x, t)
 
 
@@ -190,12 +190,12 @@ class HeatFlux(_Heat):
     Parameters
     ----------
     region : Region
-        The facets of the surface in it, or a tag of them.
+        The facets of the surface in the region, or their tag.
     value : float or callable
-        Heat flux into the body [power / area]: a number, multiplied with the schedule, or a function of positions
-        (n, dim) and step time that returns (n,) values.
+        Heat flux into the body [power / area]: a number, multiplied by the schedule, or a function of positions (n,
+        dim) and load parameter that returns (n,) values.
     schedule : callable, optional
-        By default ``Ramp`` for numbers and 1 for functions; must be given with a number where conduction takes time.
+        By default ``Ramp`` for numbers and 1 for functions; required for a number in transient conduction.
 
     Examples
     --------
@@ -206,23 +206,23 @@ class HeatFlux(_Heat):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
         onto.heat_flux(self, name)
 
 
 @dataclass(frozen=True)
 class HeatSource(_Heat):
-    """Heat that is set free in the particles of a region.
+    """Heat source in the particles of a region.
 
     Parameters
     ----------
     region : Region
-        Which particles.
+        The particles.
     value : float or callable
-        Heat [power / volume]: a number, multiplied with the schedule, or a function of positions (n, dim) and step time
-        that returns (n,) values.
+        Heat [power / volume]: a number, multiplied by the schedule, or a function of positions (n, dim) and load
+        parameter that returns (n,) values.
     schedule : callable, optional
-        By default ``Ramp`` for numbers and 1 for functions; must be given with a number where conduction takes time.
+        By default ``Ramp`` for numbers and 1 for functions; required for a number in transient conduction.
 
     Examples
     --------
@@ -231,22 +231,22 @@ class HeatSource(_Heat):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
         onto.heat_source(self, name)
 
 
 @dataclass(frozen=True)
 class Convection(Condition):
-    """Heat exchange of the surface with surroundings, ``q . n = h (T - T_s)``.
+    """Heat exchange of the surface with its surroundings, ``q . n = h (T - T_s)``.
 
     Parameters
     ----------
     region : Region
-        The facets of the surface in it, or a tag of them.
+        The facets of the surface in the region, or their tag.
     coefficient : float
         ``h`` [power / area / temperature], positive.
     surroundings : float or callable
-        ``T_s``: a temperature, or a function of positions (n, dim) and step time that returns (n,) values.
+        ``T_s``: a temperature, or a function of positions (n, dim) and load parameter that returns (n,) values.
 
     Examples
     --------
@@ -261,44 +261,43 @@ class Convection(Condition):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
         onto.convection(self, name)
 
     def values(self, x: Float, t: float) -> Float:
-        """Return ``h T_s`` (n,) at places (n, dim) and step time ``t``; raises SolveError where a function fails."""
+        """Return ``h T_s`` (n,) at positions (n, dim) and load parameter ``t``, or raise SolveError."""
         return self.coefficient * values_of("Convection", self.surroundings, Hold(), x, t)
 
 
 @dataclass(frozen=True)
 class HeatConduction(Declared):
-    """Temperature from heat conduction, before the equilibrium of every load step.
+    """Heat conduction, solved before the equilibrium of every load step.
 
-    ``c dT/dt = div (k grad T) + heat`` on the gradient of the scheme, with ``k`` and ``c`` of the materials
-    (``Thermal``); of materials of bonds, heat flows along these.
+    ``c dT/dt = div (k grad T) + heat`` with the gradient of the scheme, and ``k`` and ``c`` of the materials
+    (``Thermal``). In materials of bonds, heat flows along bonds.
 
-    Broken bonds and cracks conduct nothing, and neither does the surface where no condition says so. Bonds that break
-    in a step insulate from the next one on. Heat through the surface needs ``Conforming`` weights: others have an error
-    of the first order in the spacing there, as tractions have. Crank and Nicolson's rule rings where a temperature or
-    its surroundings jump.
+    Broken bonds, cracks and the surface without conditions insulate. Bonds that break in a step insulate from the next
+    step on. Use ``Conforming`` weights for heat through the surface; other weights have an error of first order in the
+    spacing there. The Crank-Nicolson rule oscillates if a temperature or its surroundings jump.
 
     Parameters
     ----------
     duration : float, optional
-        Time that the run takes, from step time 0 to 1 [time]: a load step of ``dt`` takes ``dt duration``, also where
-        it is cut back. Without it the temperature is the steady one at every step time.
+        Physical time from load parameter 0 to 1 [time]: a load step of ``dt`` lasts ``dt duration``, also if it is
+        halved. Without it the temperature is steady at every load parameter.
     rule : {"backward_euler", "crank_nicolson"}
-        How it goes on in time: of first order and without oscillation, or of second order.
+        Time integration: of first order and without oscillation, or of second order.
     start : float or callable, optional
-        Temperature at the start: a number, or a function of positions (n, dim) that returns (n,) values; by default the
-        one without stress of the materials.
+        Initial temperature: a number, or a function of positions (n, dim) that returns (n,) values; by default the
+        stress-free temperature of the materials.
     control : float, optional
-        Strength ``G`` of the control of what the gradient of a family does not see of the temperature, as that of
-        ``Silling`` [-]; by default 0.5 where particles have one gradient point each and 0 where they have several.
+        Strength ``G`` of the control of temperature modes that the gradient of a family does not resolve, as of
+        ``Silling`` [-]. By default 0.5 for schemes with one gradient point per particle, otherwise 0.
     coupling : {"staggered", "monolithic"}
-        Whether the temperature of a step is found before its equilibrium, or both together in one Newton's method,
-        whose linear systems PETSc's PCFIELDSPLIT takes apart (options ``-fieldsplit_temperature_...`` and
-        ``-fieldsplit_displacement_...``). As flow of heat does not depend on the displacement, both find the same; the
-        second needs ``Newton``.
+        ``staggered`` solves the temperature of a step before its equilibrium; ``monolithic`` solves both in one Newton
+        iteration, with PETSc's PCFIELDSPLIT (options ``-fieldsplit_temperature_...`` and
+        ``-fieldsplit_displacement_...``) and the solver ``Newton``. Results are equal, because heat conduction does not
+        depend on the displacement.
 
     Examples
     --------
@@ -314,11 +313,11 @@ class HeatConduction(Declared):
 
     @property
     def theta(self) -> float:
-        """Return the weight of the end of a step [-]: 1 where it takes no time."""
+        """Return the weight of the end of a step [-]: 1 for steady conduction."""
         return 0.5 if self.rule == "crank_nicolson" and self.duration is not None else 1.0
 
     def at_start(self, x: Float, otherwise: Float) -> Float:
-        """Return the temperature at the start (n,) at positions ``x``; raises CaseError where a function fails."""
+        """Return the initial temperature (n,) at positions ``x``, or raise CaseError if a function fails."""
         if self.start is None:
             return otherwise.copy()
         if not callable(self.start) or len(x) == 0:

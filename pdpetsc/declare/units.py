@@ -1,4 +1,4 @@
-"""What the units of a case are called: labels for pictures and tables, nothing else."""
+"""Names of the units of a case, as labels of pictures and tables."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
-# Powers of ten of the prefixes of SI, and how they are written.
+# SI prefixes by their powers of ten.
 _PREFIXES = {"": 0, "k": 3, "M": 6, "G": 9, "T": 12, "c": -2, "m": -3, "u": -6, "\N{MICRO SIGN}": -6, "n": -9, "p": -12}
 _WRITTEN = {0: "", 3: "k", 6: "M", 9: "G", 12: "T", -3: "m", -6: "\N{MICRO SIGN}", -9: "n", -12: "p"}
-# What a quantity is, by powers of force and length [-].
+# Quantities by their powers of force and length [-].
 _POWERS: dict[str, tuple[float, float]] = {
     "length": (0, 1), "area": (0, 2), "volume": (0, 3), "force": (1, 0), "stress": (1, -2), "energy": (1, 1),
     "energy per area": (1, -1), "stress intensity": (1, -1.5),
@@ -19,18 +19,18 @@ _POWERS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Units(Declared):
-    """Names of the units that a case is written in, for pictures, tables and the report. Nothing is ever converted.
+    """Names of the units of a case, for pictures, tables and the report. Values are not converted.
 
-    Those of stress and energy follow: of N and mm MPa and mJ, of N and m Pa and J, of lbf and in psi and lbf in.
+    Units of stress and energy follow: MPa and mJ from N and mm, Pa and J from N and m, psi and lbf in from lbf and in.
 
     Parameters
     ----------
     length : str
-        As ``"mm"``.
+        Such as ``"mm"``.
     force : str
-        As ``"N"``.
+        Such as ``"N"``.
     temperature : str
-        As ``"K"``; none where absent.
+        Such as ``"K"``; by default none.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Units(Declared):
                 raise CaseError(f'Units takes a word as {name}, as "mm" or "N", not {text!r}.')
 
     def of(self, dimension: str) -> str:
-        """Return the name of the unit of a dimension; empty for a pure number, or one that is not known.
+        """Return the name of the unit of a dimension; empty for a pure number or an unknown dimension.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Units(Declared):
         return f"{force}/{length}" if of_length < 0 else f"{force} {length}".strip()
 
     def _of_si(self, name: str, of_length: float) -> str:
-        """Return the unit of SI of this name with the prefix that force and length give it; empty where none does."""
+        """Return this SI unit with the prefix that follows from force and length; empty if there is none."""
         force, length = self.force.removesuffix("N"), self.length.removesuffix("m")
         if not (self.force.endswith("N") and self.length.endswith("m")):
             return ""

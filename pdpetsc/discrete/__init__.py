@@ -1,1 +1,1 @@
-"""The distributed particle cloud: partition, ghosts, halo exchange, families and the sparsity of matrices."""
+"""Distributed particle cloud: partition, ghosts, halo exchange, families and the sparsity of matrices."""

@@ -1,4 +1,4 @@
-"""The distributed particle cloud: owners, ghosts, numbering."""
+"""Distributed particle cloud: owners, ghosts, numbering."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from pdpetsc.discrete.periodic import Images, refuse_outside, shifts
 from pdpetsc.discrete.places import Places, refuse_beyond
 from pdpetsc.errors import CaseError
 
-# Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
+# Bonds of exactly the length of the horizon belong to the family, for any rounding of the positions.
 HORIZON_TOLERANCE = 1e-9
 # Particles closer than this share of the horizon coincide.
 COINCIDENT = 1e-6
 # Neighbours are searched together for particles whose horizons differ by less than this factor.
 ALIKE = 1.25
-# Consecutive particles further apart than this many horizons in the mean have their neighbours far away in memory.
+# If the mean distance of consecutive particles exceeds this number of horizons, neighbours are far apart in memory.
 FAR = 4.0
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Particles of this rank, owned ones first, then the ghosts that bonds join to an owned one.
+    """Store the particles of this rank: owned ones first, then ghosts with a bond to an owned one.
 
-    In a periodic cell and beside mirror planes images are ghosts too, also those of own particles.
+    In a periodic cell and next to mirror planes, images are also ghosts, including images of own particles.
 
     Attributes
     ----------
     comm : Comm
         All ranks.
     x : (n_local, dim) float64
-        Reference positions [length]; of an image where it is.
+        Reference positions [length]; of an image its own position.
     volume : (n_local,) float64
         Volumes [length^dim times thickness].
     gid : (n_local,) int64
-        Global ids in the order of creation; results on disk are in this order on any rank count.
+        Global ids in the order of creation; results on disk have this order on any number of ranks.
     row : (n_local,) int64
         Global number in the matrix: contiguous per rank.
     sets : mapping of str to (n_local,) bool
@@ -57,32 +57,33 @@ class Cloud:
     local_horizon : (n_local,) float64
         Radius of the family of each particle [length].
     mutual : bool
-        Whether two particles have a bond, from both ends, where either one reaches the other. Else a particle has bonds
-        to those that it reaches, and where horizons differ they may have none to it.
+        Whether a bond exists, from both ends, if either end reaches the other. Otherwise a particle has bonds to all
+        particles that it reaches. If horizons differ, these may have no bond to it.
     n_owned, n_global, first : int
-        Own particles, all particles, and the row of the first own one.
+        Number of own particles, number of all particles, and row of the first own one.
     halo : Halo
         Exchange between owners and ghosts.
     images : Images or None
         The periodic cell.
     offset : (n_ghost, dim) float64
-        How many whole periods each ghost is from its particle, or from its mirror image [length]; no rows without a
-        cell.
+        Whole periods between each ghost and its particle, or the mirror image of its particle [length]; no rows without
+        a cell.
     sign : (n_ghost, dim) float64
-        What the components of vectors of its particle are multiplied with to be those of each ghost: -1 along the
-        normals of the mirror planes that it is behind; no rows without mirror planes.
+        Factors that transform vector components of a particle to those of its ghost: -1 along the normals of the mirror
+        planes that the ghost is behind, else 1. No rows without mirror planes.
     place : (n_local,) int64
-        The number of the place that each particle is in: 0 at home, and everywhere without images. It is no position
-        and no rank.
+        Number of the place of each particle: 0 at home, and for all particles without images. It is not a position or a
+        rank.
     places : Places
-        What the numbers mean.
+        Meaning of the numbers.
     n_created : int
-        How many particles this rank created.
+        Number of particles that this rank created.
     spread : (dim, dim) float64
-        Second moment of the volume of the body about its centre, over its volume [length^2]: of the particles of all
+        Second moment of the volume of the body about its centre, over its volume [length^2], for the particles of all
         ranks and their mirror images. Zero along periodic directions, in which a body has no end.
     stands_for : (n_owned,) float64 or None
-        How many particles each own one stands for where it does for others with the same family; 1 each where None.
+        Number of particles that each own particle represents, if it represents others with the same family; None for 1
+        each.
     """
 
     comm: Comm
@@ -109,7 +110,7 @@ class Cloud:
     stands_for: Float | None = None
 
     def counted(self, numbers: NDArray[Any]) -> int:
-        """Return the sum of numbers of the own particles (n_owned,) over all ranks, and what they stand for.
+        """Sum numbers of the own particles (n_owned,) over all ranks, weighted with the particles that they represent.
 
         Notes
         -----
@@ -119,27 +120,27 @@ class Cloud:
 
     @property
     def varies(self) -> bool:
-        """Return whether the horizon differs from particle to particle, of any rank (not collective)."""
+        """Return True if the horizon differs between particles of any rank (not collective)."""
         return self.least_horizon < self.horizon
 
     @property
     def order(self) -> GlobalIndex:
-        """Return the key that sorts a family the same on any rank count: by global id, images by their place."""
+        """Return the sort key of families, equal on any number of ranks: by global id, images by their place."""
         return np.asarray(self.gid * self.places.n + self.place + self.places.home)
 
     @property
     def n_virtual(self) -> int:
-        """Return the virtual rows that this rank holds beyond its particles: those of a periodic cell's strain."""
+        """Return the number of virtual rows that this rank holds: those of the strain of a periodic cell."""
         return self.images.n_rows if self.images is not None and self.images.here else 0
 
     @property
     def n_rows(self) -> int:
-        """Return the rows of unknowns that this rank holds: own particles, then virtual ones."""
+        """Return the number of rows of unknowns that this rank holds: own particles, then virtual ones."""
         return self.n_owned + self.n_virtual
 
     @property
     def n_virtual_global(self) -> int:
-        """Return the virtual rows of the whole problem; they are the last ones."""
+        """Return the number of virtual rows of the whole problem; they are the last ones."""
         return 0 if self.images is None else self.images.n_rows
 
     @property
@@ -149,7 +150,7 @@ class Cloud:
 
     @property
     def n_local(self) -> int:
-        """Return owned and ghost particles together."""
+        """Return the number of owned and ghost particles."""
         return len(self.x)
 
     @property
@@ -162,23 +163,22 @@ def distribute(
     comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float | Float, cell: Cell | None = None,
     planes: Sequence[Symmetry] = (), mutual: bool = False, together: Float | None = None,
 ) -> Cloud:  # fmt: skip
-    """Partition particles over the ranks, number them and give every rank its ghosts.
+    """Partition particles over the ranks, number them and create the ghosts of every rank.
 
     Parameters
     ----------
     x, volume, sets
-        The part of the particles that this rank created; parts in rank order make the whole in creation order.
+        Particles that this rank created. The parts in rank order form the whole in creation order.
     horizon : float, or (n,) float64
-        Radius of the families, of all or of each particle that this rank created [length].
+        Radius of the families [length]: one value, or one for each particle that this rank created.
     cell : Cell, optional
         The periodic cell that holds the particles.
     planes : sequence of Symmetry
         Mirror planes, of different axes that are not periodic.
     mutual : bool
-        Whether bonds are where either end reaches the other, as in ``Cloud``.
+        Whether bonds exist if either end reaches the other, as in ``Cloud``.
     together : (n, dim) float64, optional
-        Places by which particles are given to ranks, the same for those that one rank must have; their positions where
-        absent.
+        Positions for the partition, equal for particles that must be on one rank; by default their own positions.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def distribute(
     Raises
     ------
     CaseError
-        Fewer particles than ranks, particles outside the cell, or on both sides of a mirror plane.
+        There are fewer particles than ranks, particles outside the cell, or particles on both sides of a mirror plane.
 
     Notes
     -----
@@ -255,7 +255,7 @@ def distribute(
 
 
 def _spread(comm: Comm, x: Float, volume: Float, cell: Cell | None, planes: Sequence[Symmetry]) -> Float:
-    """Return the second moment of the body about its centre from the own particles of the ranks (collective)."""
+    """Compute the second moment of the body about its centre from the own particles of all ranks (collective)."""
     sums = total(comm, np.append(volume @ x, volume.sum()))
     centre = sums[:-1] / sums[-1]
     for plane in planes:
@@ -272,7 +272,7 @@ def _spread(comm: Comm, x: Float, volume: Float, cell: Cell | None, planes: Sequ
 
 
 def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:
-    """Return the rows of the own particles from those of the part that this rank created, in its order.
+    """Return the rows of the own particles from the part that this rank created, in its order.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:
 
 
 def creators(cloud: Cloud) -> tuple[GlobalIndex, GlobalIndex]:
-    """Return the rank that created each own particle (n_owned,), and its number among those that rank created.
+    """Return the rank that created each own particle (n_owned,), and the number of the particle on that rank.
 
     Notes
     -----
@@ -301,9 +301,9 @@ def creators(cloud: Cloud) -> tuple[GlobalIndex, GlobalIndex]:
 
 
 def _near_in_memory(x: Float, gid: GlobalIndex, reach: Float) -> GlobalIndex:
-    """Return the order of own particles: that of creation, or by cells where that jumps about the body.
+    """Return the order of own particles: by creation, or by cells if that order jumps through the body.
 
-    Loops over families read their members from memory; particles in random order cost them up to twice the time.
+    Loops over families read their members from memory. With random order they take up to twice the time.
     """
     order = np.argsort(gid)
     horizon = float(np.median(reach)) if len(x) else 1.0
@@ -317,10 +317,10 @@ def _near_in_memory(x: Float, gid: GlobalIndex, reach: Float) -> GlobalIndex:
 def _candidates(
     comm: Comm, x: Float, reach: Float, arrays: list[NDArray[Any]], places: Places, mutual: bool
 ) -> tuple[list[NDArray[Any]], GlobalIndex]:
-    """Receive the particles and images near this rank's bounding box: those within the largest reach of its particles.
+    """Receive particles and images near the bounding box of this rank, within the largest reach of its particles.
 
-    Where bonds are mutual these are also those that reach into the box themselves. Returns their positions, their
-    reach, their rows of ``arrays`` and the row of their place; and how many each rank sent.
+    If bonds are mutual, also particles that reach into the box themselves. Return positions, reach, rows of ``arrays``
+    and row of the place of each, and the number that each rank sent.
     """
     dim = x.shape[1]
     widest = reach.max(initial=0.0)
@@ -349,7 +349,7 @@ def _candidates(
 
 
 def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutual: bool) -> Mask:
-    """Return which candidates a particle at ``x`` reaches, or where bonds are mutual is reached by."""
+    """Return which candidates a particle at ``x`` reaches, or with mutual bonds is reached by."""
     near = np.zeros(len(candidates), dtype=bool)
     if len(x) == 0 or len(candidates) == 0:
         return near
@@ -370,7 +370,7 @@ def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutua
 
 
 def by_reach(reach: Float) -> list[GlobalIndex]:
-    """Return the particles in groups of about the same reach, in which neighbours are searched at once."""
+    """Group particles by similar reach; neighbours of a group are searched together."""
     if len(reach) == 0:
         return []
     group = np.floor(np.log(reach / reach.min()) / np.log(ALIKE)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The few collective patterns that the distributed layers share."""
+"""Collective operations that the distributed layers share."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def world() -> Comm:
 
 
 def mpi_library() -> str:
-    """Return name and version of the MPI that mpi4py stands on."""
+    """Return name and version of the MPI library of mpi4py."""
     return str(MPI.Get_library_version()).split(",")[0].split("\n")[0].strip()
 
 
 def communicator(given: Any = None) -> Comm:
-    """Return the communicator that a user gives, of mpi4py or petsc4py, or that of all ranks.
+    """Return the communicator of the argument, of mpi4py or petsc4py; by default that of all ranks.
 
     Raises
     ------
     CaseError
-        It is neither.
+        The argument is neither.
     """
     if given is None:
         return world()
@@ -48,21 +48,21 @@ def alone() -> Comm:
 
 
 def is_root(comm: Comm) -> bool:
-    """Return whether this rank is the one that prints and writes small files."""
+    """Return True if this rank prints and writes small files."""
     return bool(comm.rank == 0)
 
 
 @contextlib.contextmanager
 def agreed(comm: Comm) -> Iterator[None]:
-    """Raise on every rank what the body raised on any, taking the lowest rank's error.
+    """Raise on every rank an exception that the ``with`` block raised on any; the error of the lowest rank is used.
 
-    Whatever the body raises becomes an error of one sentence (``errors.described``), a ``sys.exit`` too. The rank that
-    raised it keeps its own object, with its class and traceback; others get one of the same kind and text. Only what a
-    signal raises is not shared: it can come at any place of any rank.
+    Every exception, ``sys.exit`` included, becomes an error of one sentence (``errors.described``). The rank that
+    raised it keeps its own object, with class and traceback; the others get one of the same kind and text. Only
+    exceptions of signals are not shared, since they can occur at any place of any rank.
 
     Notes
     -----
-    Collective; the body itself must not communicate.
+    Collective; the block itself must not communicate.
     """
     error: PdpetscError | None = None
     cause: BaseException | None = None
@@ -132,7 +132,7 @@ def exchange(
     Returns
     -------
     received : list of (m, ...)
-        Rows in order of source rank, and within a source in its own order.
+        Rows in order of source rank, and within a source in the order of that rank.
     counts : (size,) int64
         Rows received from each rank.
 
@@ -159,14 +159,14 @@ def exchange(
 
 
 def fetch(comm: Comm, holder: NDArray[Any], row: NDArray[Any], part: NDArray[Any]) -> NDArray[Any]:
-    """Return rows of an array that the ranks hold in parts.
+    """Fetch rows of an array that is distributed over the ranks.
 
     Parameters
     ----------
     holder, row : (n,) int
-        Rank that holds each row asked for, and its number in the part of that rank.
+        Rank that holds each requested row, and the number of the row on that rank.
     part : (m, ...)
-        What this rank holds.
+        Rows that this rank holds.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Connected pieces of the body and the rigid motions its supports leave free."""
+"""Connected pieces of the body, and the rigid motions that its supports do not resist."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
-# A rigid motion is free where the supports resist it by less than this share of the most resisted one.
+# A rigid motion is free if the supports resist it by less than this share of the most resisted one.
 RANK_TOLERANCE = 1e-12
 
 
 def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
-    """Return the smallest global id of the piece that each own particle belongs to, (n_owned,).
+    """Return the smallest global id in the piece of each own particle, (n_owned,).
 
     Notes
     -----
-    Collective; at most as many exchanges as a piece crosses ranks.
+    Collective; the number of exchanges is at most the number of rank boundaries that a piece crosses.
     """
     bonds = families.connecting()
     graph = scipy.sparse.coo_matrix(
@@ -34,7 +34,7 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
         least = np.full(count, np.iinfo(np.int64).max)
         np.minimum.at(least, local, label)
         new = least[local]
-        # Where horizons differ the owner of a ghost may not know that it has a bond here.
+        # If horizons differ, the owner of a ghost may have no information on its bond here.
         each = np.ones(cloud.n_ghost, dtype=np.int64)
         back = cloud.halo.reverse_rows(new[cloud.n_owned :], each, np.ones(len(cloud.halo.send_index), dtype=np.int64))
         np.minimum.at(new, cloud.halo.send_index, back)
@@ -51,14 +51,13 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Fl
     Parameters
     ----------
     resisted : callable
-        Returns how far displacements (n_owned, dim) violate the constraints, 0 where nothing constrains them
-        (collective). A mirror plane holds the pieces that it crosses in the body: they cannot move
-        along its normal, nor turn it.
+        Computes the violation of constraints by displacements (n_owned, dim), 0 for unconstrained components
+        (collective). A mirror plane holds the pieces that it crosses: they cannot move along its normal or rotate it.
 
     Raises
     ------
     CaseError
-        Some piece keeps a rigid motion.
+        A piece has a free rigid motion.
 
     Notes
     -----
@@ -94,9 +93,9 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Fl
 
 
 def rigid_modes(cloud: Cloud) -> Float:
-    """Return the rigid motions of the own particles about the cloud's centre (n_owned, dim, modes), lengths scaled.
+    """Compute the rigid motions of the own particles about the centre (n_owned, dim, modes), with scaled lengths.
 
-    A periodic direction leaves no rotation that moves it.
+    A rotation that moves a periodic direction is omitted.
 
     Notes
     -----
@@ -106,7 +105,7 @@ def rigid_modes(cloud: Cloud) -> Float:
 
 
 def _torn_by_mirrors(cloud: Cloud, images: LocalIndex) -> Float:
-    """Return by how much images of particles that move rigidly are off the same motion (n, dim, modes) (collective)."""
+    """Compute the deviation of images of rigidly moving particles from the same motion (n, dim, modes) (collective)."""
     place = cloud.place[images]
     moved = rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
     sign = cloud.places.sign[place + cloud.places.home]
@@ -114,7 +113,7 @@ def _torn_by_mirrors(cloud: Cloud, images: LocalIndex) -> Float:
 
 
 def rigid_at(cloud: Cloud, points: Float) -> Float:
-    """Return the rigid motions at points (n, dim), of all ranks together (collective)."""
+    """Compute the rigid motions of all ranks together at points (n, dim) (collective)."""
     x = cloud.x[: cloud.n_owned]
     n, dim = points.shape
     centre = total(cloud.comm, x.sum(axis=0)) / cloud.n_global

@@ -1,4 +1,4 @@
-"""What a rank does that has failed, when it does not know where the others are."""
+"""Handling of the failure of a rank if the state of the other ranks is unknown."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ from pdpetsc.errors import PdpetscError, places
 
 # Tag of messages that a rank has failed.
 FAILURE = 911
-# Message of the rank that prints why the run ends and is about to abort it.
+# Message of the rank that prints the reason for the end and is about to abort the run.
 SPEAKS = ("speaks",)
-# How long a rank that failed waits for others to fail as well [s]: after a signal, which mpirun lets a kill follow in a
-# second; after what a function of the case or a library raised, likely on one rank; after what pdpetsc found, likely on
-# all.
+# Time that a failed rank waits for others to fail as well [s]: after a signal, since mpirun follows it with a kill
+# within a second; after an exception of a function of the case or a library, likely on one rank; after an error found
+# by pdpetsc, likely on all ranks.
 SIGNALLED, SURPRISED, FOUND = 0.4, 1.5, 5.0
-# Longer than any of them [s].
+# Longer than any of these [s].
 LONG = 10.0
-# Time that the last line on stderr takes to be passed on before an abort [s].
+# Time for passing on the last line on stderr before an abort [s].
 SPOKEN = 0.5
 
 
-# Communicators for these messages alone: receives of ghosts take any tag, and would take them for ghosts. One of all
-# ranks stays for as long as the process lives; the last one is that of the run that goes on.
+# Communicators for these messages only: receives of ghosts accept any tag and would accept these messages. The
+# communicator of all ranks exists as long as the process; the last one is that of the current run.
 _apart: list[Comm] = []
 
 
 @contextlib.contextmanager
 def messages_apart(comm: Comm) -> Iterator[None]:
-    """Let messages about failures go by a communicator of their own while the body runs on the ranks of ``comm``.
+    """Use a separate communicator for messages about failures in the ``with`` block on the ranks of ``comm``.
 
     Notes
     -----
-    Collective. It is not freed where ranks may be anywhere, after an error that they have not agreed on.
+    Collective. The communicator is not freed after an error that the ranks have not agreed on, when their states are
+    unknown.
     """
     if not _apart and MPI.Comm.Compare(comm, world()) in (MPI.IDENT, MPI.CONGRUENT):
         _apart.append(MPI.Intracomm(comm.Dup()))
@@ -66,17 +67,17 @@ def _channel() -> Comm:
 
 
 def all_failed(error: BaseException, failure: PdpetscError) -> bool:
-    """Return whether all ranks failed together and may go on to communicate; True on one rank.
+    """Return True if all ranks failed together and may continue to communicate; True on one rank.
 
     Parameters
     ----------
     error, failure : exception
-        What was raised, and the same as one sentence.
+        The exception, and its description as one sentence.
 
     Notes
     -----
-    Not collective: a rank that fails alone leaves the others in a call that waits for it, so it waits for a moment
-    only. Of several that fail each on their own the lowest returns, and the others wait for it to abort them.
+    Not collective: if a rank fails alone, the others wait for it in a call, so it waits only for a short time. If
+    several ranks fail independently, the lowest returns, and the others wait until it aborts them.
     """
     comm = _channel()
     if failure.agreed >= comm.size:
@@ -84,7 +85,7 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
     stopped = isinstance(error, KeyboardInterrupt)
     patience = SIGNALLED if stopped else FOUND if isinstance(error, PdpetscError) else SURPRISED
     lowest, together = _others(comm, (type(failure).__name__, *places(error)), patience)
-    # Ranks that a signal ends are anywhere, whatever their lines say.
+    # Ranks stopped by a signal can be at any place, for any line numbers.
     if together and not stopped:
         return True
     if not lowest:
@@ -93,9 +94,9 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
 
 
 def give_up(failure: PdpetscError) -> NoReturn:
-    """Say on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
+    """Print on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
     comm = _channel()
-    # The abort sends signals to the others, which end them too: they shall not say so.
+    # The abort sends signals to the other ranks; they must not print a reason as well.
     sent = [comm.isend(SPEAKS, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
     with contextlib.suppress(OSError):
         print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
@@ -106,7 +107,7 @@ def give_up(failure: PdpetscError) -> NoReturn:
 
 
 def leave(status: int) -> NoReturn:
-    """End all ranks, which all call this, without finalising MPI and PETSc."""
+    """End all ranks without finalising MPI and PETSc; all ranks must call it."""
     if MPI.COMM_WORLD.size == 1:
         os._exit(status)
     if MPI.COMM_WORLD.rank > 0:
@@ -117,7 +118,7 @@ def leave(status: int) -> NoReturn:
 
 
 def _others(comm: Comm, mine: tuple[str, ...], patience: float) -> tuple[bool, bool]:
-    """Return whether this is the lowest rank of those that have failed, and whether all have, at the same place."""
+    """Return True if this is the lowest failed rank, and True if all ranks have failed at the same place."""
     heard = {comm.rank: mine}
     sent = [comm.isend(mine, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
     end = time.monotonic() + patience

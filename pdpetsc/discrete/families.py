@@ -20,12 +20,12 @@ from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
 
 @dataclass(frozen=True)
 class Families:
-    """Bonds of the owned particles in CSR form, each family in an order that no partition changes.
+    """Store the bonds of the owned particles in CSR form; the order of a family does not depend on the partition.
 
     Attributes
     ----------
     indptr : (n_owned + 1,) int64
-        Where each family starts.
+        Start of each family.
     neighbours : (n_bonds,) int32
         Local index of ``j``.
     """
@@ -39,23 +39,23 @@ class Families:
         return len(self.neighbours)
 
     def with_any(self, marked: Mask) -> Mask:
-        """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
+        """Return which own particles have a marked member in their family (n_owned,), for marks (n_local,)."""
         found = np.empty(len(self.indptr) - 1, dtype=bool)
         families_with_any(self.indptr, self.neighbours, marked, found)
         return found
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return both particles of bonds (n,) that connect what all bonds together do."""
+        """Return both particles of bonds (n,) with the same connectivity as all bonds together."""
         return self.centres, self.neighbours
 
     @property
     def connecting_families(self) -> Families:
-        """Return families with bonds that connect what all bonds together do: these, or fewer."""
+        """Return families with the same connectivity as all bonds: these, or smaller ones."""
         return self
 
     @property
     def lattice(self) -> LatticeStencils | None:
-        """Return which own particles share one family; None where each has its own."""
+        """Return the lattice stencils of own particles with a shared family; None if each has its own."""
         return None
 
     @cached_property
@@ -73,7 +73,7 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
     def reach(self, x: Float) -> Float:
-        """Return the length of the longest bond of every own particle (n_owned,), 0 for one without bonds."""
+        """Compute the length of the longest bond of every own particle (n_owned,), 0 for a particle without bonds."""
         length = np.linalg.norm(self.bonds(x), axis=1)
         longest = np.zeros(len(self.indptr) - 1)
         np.maximum.at(longest, self.centres, length)
@@ -81,12 +81,12 @@ class Families:
 
 
 class LatticeFamilies(Families):
-    """Families of a body on a lattice, most of which share their steps; bonds are listed on first use.
+    """Represent families of a body on a lattice, most of which share their steps; bonds are listed on first use.
 
     Parameters
     ----------
     lattice : LatticeStencils
-        Which own particles share one family.
+        Own particles that share one family.
     """
 
     def __init__(self, lattice: LatticeStencils) -> None:
@@ -102,9 +102,9 @@ class LatticeFamilies(Families):
         return self._of.with_any(marked)
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return the bonds of families that do not repeat, and of the others those along the axes of the lattice.
+        """Return the bonds of irregular families, and of the others the bonds along the axes of the lattice.
 
-        A member that moves along the axes reach from the centre within the family is connected through other members.
+        A member that steps along the axes reach from the centre within the family is connected through other members.
         """
         return self._of.connecting()
 
@@ -118,11 +118,11 @@ class LatticeFamilies(Families):
 
     @property
     def lattice(self) -> LatticeStencils:
-        """Return which own particles share one family."""
+        """Return the lattice stencils of own particles with a shared family."""
         return self._of
 
     def reach(self, x: Float) -> Float:
-        """Return the length of the longest bond of every own particle without listing the bonds."""
+        """Compute the length of the longest bond of every own particle without listing the bonds."""
         irregular = self._of.irregular
         alike = Families(irregular.indptr, irregular.neighbours).reach(x[irregular.local])
         return np.asarray(alike[self._of.represented_by])
@@ -134,7 +134,7 @@ class LatticeFamilies(Families):
 
     @cached_property
     def indptr(self) -> GlobalIndex:
-        """Return where each family starts."""
+        """Return the start of each family."""
         return self._listed[0]
 
     @cached_property
@@ -155,22 +155,22 @@ class LatticeFamilies(Families):
 def find_families(
     cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | None = None, in_order: bool = False
 ) -> Families:
-    """Find the neighbours of every own particle within its horizon, where no crack separates them.
+    """Find the neighbours of every own particle within its horizon, unless a crack separates them.
 
-    Where the horizon differs from particle to particle ``j`` is in the family of ``i`` if ``|xi| <= reach_i``; where
-    bonds are mutual if that or ``|xi| <= reach_j``.
+    If the horizon differs between particles, ``j`` is in the family of ``i`` if ``|xi| <= reach_i``. With mutual bonds,
+    also if ``|xi| <= reach_j``.
 
     Parameters
     ----------
     cloud : Cloud
         Particles of this rank with their ghosts.
     cracks : sequence of Crack
-        What cuts bonds from the start; their images in a periodic cell and behind mirror planes do too.
+        Cracks that cut bonds from the start, also by their images in a periodic cell and behind mirror planes.
     repeated : float, optional
-        Bonds of particles that share one family are not listed where at least this share of all do; all are listed
-        where absent.
+        Bonds of particles with a shared family are not listed if at least this share of all particles have one. By
+        default all bonds are listed.
     in_order : bool
-        Whether particles share a family only where they list its members in the same order.
+        Whether particles share a family only if they list its members in the same order.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def find_families(
     Raises
     ------
     CaseError
-        Two particles coincide, or a crack has another dimension or cuts nothing.
+        Two particles coincide, or a crack has another dimension or cuts no bond.
 
     Notes
     -----
@@ -210,16 +210,16 @@ def find_families(
 
 
 def reached_back(cloud: Cloud, families: Families, length: Float) -> Mask:
-    """Return which bonds of ``length`` (n_bonds,) [length] exist from their second end too (n_bonds,)."""
+    """Return which bonds of ``length`` (n_bonds,) [length] also exist from their second end (n_bonds,)."""
     if cloud.mutual or not cloud.varies:
         return np.ones(len(length), dtype=bool)
     return np.asarray(length <= cloud.local_horizon[families.neighbours] * (1.0 + HORIZON_TOLERANCE))
 
 
 def _pairs(cloud: Cloud) -> LocalIndex:
-    """Return the pairs with a bond and an own end (n, 2); of bonds from one end that one is first."""
+    """Return the pairs with a bond and an own end (n, 2); for a bond from one end only, that end is first."""
     if not cloud.varies:
-        # Ghosts are not searched from: in a small cell their pairs are many times those with an own end.
+        # Do not search from ghosts: in a small cell they have many times the pairs with an own end.
         radius, own = cloud.horizon * (1.0 + HORIZON_TOLERANCE), scipy.spatial.cKDTree(cloud.x[: cloud.n_owned])
         inside = own.query_pairs(radius, output_type="ndarray")
         across = own.sparse_distance_matrix(
@@ -243,7 +243,7 @@ def _pairs(cloud: Cloud) -> LocalIndex:
 
 
 class _Cutting:
-    """Tells which pairs of particles cracks separate, and remembers which cracks have cut any."""
+    """Determine which pairs of particles cracks separate, and count the cut pairs of each crack."""
 
     def __init__(self, cloud: Cloud, cracks: Sequence[Crack]) -> None:
         self._cloud, self._cracks = cloud, cracks
@@ -258,7 +258,7 @@ class _Cutting:
         cut = np.zeros(len(pairs), dtype=bool)
         if not self._cracks or not len(pairs):
             return cut
-        # Both ends ask for the same bond, on any rank; rounding at the rim of a crack must answer both alike.
+        # Both ends test the same bond, on any rank; rounding at the rim of a crack must give both the same result.
         turned = cloud.gid[pairs[:, 0]] > cloud.gid[pairs[:, 1]]
         pairs = np.where(turned[:, None], pairs[:, ::-1], pairs)
         a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
@@ -274,7 +274,7 @@ class _Cutting:
         return cut
 
     def refuse_idle(self) -> None:
-        """Raise CaseError on all ranks where a crack has cut nothing (collective)."""
+        """Raise CaseError on all ranks if a crack has cut no bond (collective)."""
         for number, count in enumerate(total(self._cloud.comm, self._count) if self._cracks else ()):
             if not count:
                 raise CaseError(f"Crack {number + 1} cuts no bond: {self._cracks[number]}.")

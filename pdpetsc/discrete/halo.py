@@ -17,17 +17,17 @@ Finish: TypeAlias = Callable[[], None]
 
 
 class Halo:
-    """Forward (owner to ghost) and reverse (ghost added to owner) exchange.
+    """Exchange data forward (owner to ghost) and in reverse (ghosts added to owner).
 
-    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank. With images a rank can own
-    its ghosts: images of its own particles.
+    Local arrays contain ``n_owned`` own rows, then the ghosts grouped by owning rank. With images, a rank can own its
+    ghosts: images of its own particles.
 
     Parameters
     ----------
     comm : Comm
         All ranks of the cloud.
     n_owned : int
-        Particles this rank owns.
+        Number of particles that this rank owns.
     ghost_owner : (n_ghost,) int32
         Owning rank of each ghost, ascending.
     ghost_index : (n_ghost,) int32
@@ -46,7 +46,7 @@ class Halo:
         self.send_index: LocalIndex = send_index
         self.targets = np.flatnonzero(asked)
         self.target_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(asked[self.targets])])
-        # Images of one particle arrive in ascending runs, one per place; no run names a particle twice.
+        # Images of one particle arrive in ascending runs, one per place; no run contains a particle twice.
         again = np.flatnonzero(np.diff(self.send_index) <= 0) + 1
         self._runs = np.union1d(again, self.target_ptr)
         held = np.bincount(ghost_owner, minlength=comm.size)
@@ -54,21 +54,21 @@ class Halo:
         self.source_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(held[self.sources])])
 
     def forward(self, values: NDArray[Any]) -> None:
-        """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with their owners' rows (collective)."""
+        """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with the rows of the owners (collective)."""
         self.start_forward(values)()
 
     def reverse(self, values: NDArray[Any]) -> None:
-        """Add the ghost rows of ``values`` to their owners' rows (collective)."""
+        """Add the ghost rows of ``values`` to the rows of their owners (collective)."""
         self.start_reverse(values)()
 
     def start_forward(self, values: NDArray[Any]) -> Finish:
-        """Start ``forward``; own rows may be read, ghost rows not touched until what is returned is called."""
+        """Start ``forward``. Until the returned function is called, own rows may be read, ghost rows not accessed."""
         ghosts = values[self.n_owned :]
         outgoing = values[self.send_index]
         return self._start(outgoing, self.targets, self.target_ptr, ghosts, self.sources, self.source_ptr)
 
     def start_reverse(self, values: NDArray[Any]) -> Finish:
-        """Start ``reverse``; own rows may be added to, ghost rows not touched until what is returned is called."""
+        """Start ``reverse``. Before the returned function is called, only own rows may change, by additions."""
         incoming = np.empty((len(self.send_index), *values.shape[1:]), dtype=values.dtype)
         arrived = self._start(
             values[self.n_owned :], self.sources, self.source_ptr, incoming, self.targets, self.target_ptr
@@ -83,7 +83,7 @@ class Halo:
         return finish
 
     def reverse_rows(self, values: NDArray[Any], lengths: GlobalIndex, incoming_lengths: GlobalIndex) -> NDArray[Any]:
-        """Send rows of varying length, one per ghost, to the owners of the ghosts.
+        """Send rows of variable length, one per ghost, to the owners of the ghosts.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Halo:
         in_ptr: NDArray[Any],
     ) -> Finish:
         here = self.comm.rank
-        # Buffers of messages on their way must not be freed.
+        # Keep buffers of pending messages.
         sent: list[NDArray[Any]] = []
         requests = [
             self.comm.Irecv(incoming[in_ptr[r] : in_ptr[r + 1]], source=rank)

@@ -1,4 +1,4 @@
-"""Particles further than a horizon from the surface of the body, from the families alone."""
+"""Search for particles further than a horizon from the surface of the body, from families only."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.sparsity import sum_by
 
-# Particles of the surface are about this far inside the body [spacings].
+# Approximate distance of surface particles from the surface [spacings].
 BESIDE = 0.5
-# Thin bodies whose families have second moments with a larger relative part off the coordinate axes lie across these,
-# in the mean where they are straight and in the root mean square where they are curved.
+# A thin body is inclined against the coordinate axes if the relative off-diagonal part of the second moments of its
+# families exceeds INCLINED in the mean (straight bodies), or CURVED in the root mean square (curved bodies).
 INCLINED = 0.03
 CURVED = 0.15
-# Fewer particles than this share of those that are inside along the longest axis represent nothing.
+# A set is used if it has at least this share of the particles inside along the longest axis.
 FEW = 0.05
 UNIT_BALL = {1: 2.0, 2: np.pi, 3: 4.0 / 3.0 * np.pi}
 
 
 @dataclass(frozen=True)
 class Interior:
-    """Own particles whose families represent the planes on which a body can come apart.
+    """Store the own particles whose families represent the planes on which a body can separate.
 
     Attributes
     ----------
     along : (n_owned, dim) bool
         Particles for planes normal to each coordinate axis: those further than a horizon from the surface. In a thin
-        body, in which next to none are, those further than a horizon from its ends along the axis; none along axes on
+        body, which has almost none, particles further than a horizon from its ends along the axis; none along axes on
         which the body is shorter than two horizons.
     axes : list of int
-        Axes along which there are such particles on any rank.
+        Axes with such particles on any rank.
     thin : bool
         Whether the body is thin.
     aligned : bool
@@ -52,10 +52,12 @@ def interior(cloud: Cloud, families: Families) -> Interior:
 
     A particle is at the surface if its family lies on one side of it: opposite to the first moment of the family, or
     along the direction in which the family is flattest. It is at an end if its family lies on one side along the axis.
-    A particle is inside if none of these is nearer than the horizon less half a spacing, their own distance from the
-    surface. Of a body with enough of them those are taken from which all particles within a horizon are inside: bonds
-    that a crack cuts near its tip leave families with members on all sides. Images beyond mirror planes and in periodic
-    cells are members as any other.
+    A particle is inside if none of these is closer than the horizon minus half a spacing, their own distance from the
+    surface.
+
+    If the body has enough of them, only particles are used for which all particles within a horizon are inside: bonds
+    cut by a crack near its tip leave families with members on all sides. Images behind mirror planes and in periodic
+    cells count as members.
 
     Notes
     -----
@@ -78,13 +80,13 @@ def interior(cloud: Cloud, families: Families) -> Interior:
     off, on = 2.0 * second[:, a, b], second[:, a, a] + second[:, b, b]
     sums = total(comm, np.stack([one.sum(axis=0) for one in (off, on, off**2, on**2)]))
     inclined = (np.abs(sums[0]) > INCLINED * sums[1]) | (sums[2] > CURVED**2 * sums[3])
-    # How a body lies across its long axes, within its cross-section, does not matter.
+    # The orientation of the cross-section of a body, normal to its long axes, does not matter.
     aligned = not (inclined & (enough[a] | enough[b])).any()
     return Interior(along, [int(axis) for axis in np.flatnonzero(enough)], thin=True, aligned=aligned)
 
 
 class _Surface:
-    """Families as the search for the surface reads them."""
+    """Store families for the search of the surface."""
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
         xi = families.bonds(cloud.x)
@@ -93,7 +95,7 @@ class _Surface:
         self.cloud, self.xi, self.length = cloud, xi[members], length[members]
         self.centres, self.neighbours = families.centres[members], families.neighbours[members]
         n, dim = cloud.n_owned, cloud.dim
-        # The particles of the largest family around have equal parts of the ball.
+        # Particles of the largest family nearby have equal parts of the ball.
         count = np.zeros(cloud.n_local)
         count[:n] = 1.0 + np.bincount(self.centres, minlength=n)
         cloud.halo.forward(count)
@@ -125,7 +127,7 @@ class _Surface:
         return np.asarray(far < self.beside)
 
     def beyond(self, surface: Mask) -> Mask:
-        """Return which own particles are further than a horizon from what the marked ones are beside (collective)."""
+        """Return which own particles are further than a horizon from the surface at marked particles (collective)."""
         cloud, n = self.cloud, self.cloud.n_owned
         marked = np.zeros(cloud.n_local)
         marked[:n] = surface

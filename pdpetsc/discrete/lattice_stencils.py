@@ -1,4 +1,4 @@
-"""Families that repeat: particles on a lattice whose whole family is there share one list of steps."""
+"""Lattice stencils: particles on a lattice with the same family share one list of steps."""
 
 from __future__ import annotations
 
@@ -20,37 +20,38 @@ from pdpetsc.kernels.sparsity import families_with_any
 Number = TypeVar("Number", bound=np.generic)
 Answer = TypeVar("Answer")
 
-# Positions are on a lattice, and volumes alike, up to this share of the spacing and of the volume.
+# Positions are on a lattice, and volumes are equal, up to this share of the spacing and of the volume.
 ON_LATTICE = 1e-10
-# Particles closer than this share of the horizon along an axis are in one layer of it.
+# Particles closer than this share of the horizon along an axis are in the same layer.
 SAME_LAYER = 1e-6
-# A lattice has at most this many cells per particle, so that it is not larger than the body.
+# Largest number of cells per particle, so that the lattice is not larger than the body.
 MOST_CELLS = 4.0
-# Families repeat in rows of at least so many consecutive cells, and where so many particles share one: a loop over
-# fewer costs more than their families.
+# Families are shared in rows of at least SHORTEST_ROW consecutive cells, and by at least FEWEST particles. A loop over
+# fewer costs more than listed families.
 SHORTEST_ROW, FEWEST = 8, 24
-# Longer rows are divided, so that what a loop reads of them stays in cache.
+# Longer rows are divided, so that the data of a loop stays in cache.
 LONGEST_ROW = 256
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The lattice that all local particles of a rank are on, numbered along its longest axis.
+    """Store the lattice of all local particles of a rank, numbered along its longest axis.
 
-    It is wider than the particles by the reach of a family on every side, so that a step from a particle is a cell.
+    It extends beyond the particles by the reach of a family on every side, so that every step from a particle leads to
+    a cell.
 
     Attributes
     ----------
     spacing : (dim,) float64
         Distance of neighbouring cells along each axis [length].
     at : (n_cells,) int32
-        The local particle in each cell, -1 where there is none.
+        Local particle in each cell, -1 for an empty cell.
     cell : (n_local,) int64
-        The cell of each local particle.
+        Cell of each local particle.
     steps : (n_family,) int64
-        How many cells away the members of a whole family are.
+        Differences of cell numbers to the members of a complete family.
     axis_steps : (dim,) int64
-        How many cells away the next one along each axis is.
+        Difference of cell numbers to the next cell along each axis.
     """
 
     spacing: Float
@@ -60,7 +61,7 @@ class Grid:
     axis_steps: GlobalIndex
 
     def onto(self, values: Float) -> Float:
-        """Return vectors of local particles (n_local, components) as an array on the lattice (components, n_cells)."""
+        """Copy vectors of local particles (n_local, components) to an array on the lattice (components, n_cells)."""
         on_cells = np.zeros((values.shape[1], len(self.at)))
         onto_cells(self.cell, values, on_cells)
         return on_cells
@@ -68,12 +69,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of consecutive cells of a lattice.
+    """Store rows of consecutive cells of a lattice.
 
     Attributes
     ----------
     starts, lengths : (n_rows,) int64
-        First cell and number of cells of each.
+        First cell and number of cells of each row.
     """
 
     starts: GlobalIndex
@@ -81,12 +82,12 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """Return the cells in all rows."""
+        """Return the number of cells in all rows."""
         return int(self.lengths.sum())
 
 
 def rows_of(cells: GlobalIndex) -> Rows:
-    """Return the rows of consecutive cells that some cells make, none longer than ``LONGEST_ROW``."""
+    """Build the rows of consecutive cells from cells; no row is longer than ``LONGEST_ROW``."""
     cells = np.sort(cells).astype(np.int64)
     begins = np.concatenate([[True], np.diff(cells) > 1]) if len(cells) else np.empty(0, dtype=bool)
     starts = cells[begins]
@@ -98,7 +99,7 @@ def rows_of(cells: GlobalIndex) -> Rows:
 
 
 def find_grid(cloud: Cloud) -> Grid | None:
-    """Return the lattice that the local particles are on; None where they are on none (not collective)."""
+    """Find the lattice of the local particles; None if they are on none (not collective)."""
     x, dim = cloud.x, cloud.dim
     found = positions_on_lattice(x, cloud.horizon)
     if found is None:
@@ -125,7 +126,7 @@ def find_grid(cloud: Cloud) -> Grid | None:
 
 
 def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] | None:
-    """Return the spacing (dim,) of the lattice that points (n, dim) are on, and their places on it; None without one.
+    """Find the spacing (dim,) of the lattice of points (n, dim), and their positions on it; None if there is none.
 
     Not collective.
     """
@@ -136,10 +137,11 @@ def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] 
         values = np.unique(x[:, axis])
         apart = np.diff(values)
         apart = apart[apart > SAME_LAYER * horizon]
-        # A single layer has no member of a family beside it.
+        # A single layer has no neighbour layer in a family.
         spacing[axis] = 3.0 * horizon
         if len(apart):
-            # Rounding of the positions would add up from cell to cell, so the spacing is that of all cells together.
+            # Rounding of the positions would accumulate from cell to cell, so the spacing is computed from the whole
+            # extent.
             extent = values[-1] - values[0]
             spacing[axis] = extent / np.rint(extent / apart.min())
         position = (x[:, axis] - values[0]) / spacing[axis]
@@ -152,19 +154,18 @@ def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] 
 
 @dataclass(frozen=True)
 class IrregularRest:
-    """The own particles whose families do not repeat, and one of each pattern of the others, as a body of its own.
+    """Store the own particles with irregular families, and one representative of each pattern, as a separate body.
 
     Attributes
     ----------
     cloud : Cloud
-        Those particles as own ones, the ones that stand for a pattern last, then all members of their families. Its
-        ``halo`` is not theirs.
+        These particles as own ones, representatives last, then all members of their families. ``halo`` is not valid.
     local : (n,) int32
-        The local particle that each is.
+        Local particle of each.
     indptr, neighbours
         Families as in ``Families``.
     n : int
-        The number of particles whose families do not repeat.
+        Number of particles with irregular families.
     """
 
     cloud: Cloud
@@ -174,7 +175,7 @@ class IrregularRest:
     n: int
 
     def add(self, onto: Float, work: Callable[[Float], Answer]) -> Answer:
-        """Add to values of all local particles (n_local, ...) what ``work`` adds to those of this body (n, ...)."""
+        """Add what ``work`` adds to values of this body (n, ...) to values of all local particles (n_local, ...)."""
         part = np.zeros((len(self.local), *onto.shape[1:]))
         answer = work(part)
         onto[self.local] += part
@@ -183,16 +184,16 @@ class IrregularRest:
 
 @dataclass(frozen=True)
 class Part:
-    """Some own particles.
+    """Store a subset of the own particles.
 
     Attributes
     ----------
     alone : (n,) int32
-        Those whose families do not repeat, by their number in ``IrregularRest``.
+        Particles with irregular families, by their number in ``IrregularRest``.
     rows : Rows
-        The cells of the others.
+        Cells of the others.
     pattern : (n_rows,) int64
-        The pattern of each row.
+        Pattern of each row.
     """
 
     alone: LocalIndex
@@ -201,26 +202,26 @@ class Part:
 
     @property
     def loop(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return starts, lengths and patterns of the rows, as loops over rows take them."""
+        """Return starts, lengths and patterns of the rows, the arguments of loops over rows."""
         return self.rows.starts, self.rows.lengths, self.pattern
 
 
 class LatticeStencils:
-    """Which own particles of a lattice share a family, and what is needed to treat the others by themselves.
+    """Store which own particles of a lattice share a family, and the irregular rest.
 
-    Particles have the same pattern where their families have the same steps: whole ones inside, and on a flat face or
-    beside a crack those that it cuts alike.
+    Particles have the same pattern if their families have the same steps: complete families inside, and families at a
+    flat face or a crack that are cut in the same way.
 
     Parameters
     ----------
     cloud : Cloud
         Particles of this rank.
     grid : Grid
-        The lattice they are on.
+        Lattice of the particles.
     pattern_of : (n_owned,) int64
-        The pattern of each own particle, -1 where its family does not repeat.
+        Pattern of each own particle, -1 for an irregular family.
     cut : callable
-        Tells which pairs of local particles (n, 2) are no bond.
+        Marks pairs of local particles (n, 2) without bond.
     """
 
     def __init__(
@@ -232,7 +233,7 @@ class LatticeStencils:
         self._parts: dict[int, tuple[LocalIndex, Part]] = {}
 
     def families(self, particles: LocalIndex) -> tuple[GlobalIndex, LocalIndex]:
-        """Return the families of own particles as ``indptr`` and local ``neighbours``, in the order of any other."""
+        """Return the families of own particles as ``indptr`` and local ``neighbours``, in the order of ``Families``."""
         grid = self.grid
         indptr, neighbours = families_of_cells(particles, grid.cell, grid.at, grid.steps, self.cloud.order)
         if self._cut is not None:
@@ -243,19 +244,19 @@ class LatticeStencils:
         return indptr, neighbours
 
     def of_shared(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Return what a pattern has for each particle that shares it (n_shared, ...), of (n_patterns, ...)."""
+        """Return the value of its pattern (n_patterns, ...) for each particle with a shared family (n_shared, ...)."""
         return np.asarray(values[self.pattern_of[self.shared]])
 
     @cached_property
     def represented_by(self) -> LocalIndex:
-        """Return the number in ``irregular`` of each own particle, or of the one that stands for its pattern."""
+        """Return the number in ``irregular`` of each own particle, or of the representative of its pattern."""
         own, found = self.irregular, np.empty(self.cloud.n_owned, dtype=np.int32)
         found[own.local[: own.n]] = np.arange(own.n)
         found[self.shared] = own.n + self.pattern_of[self.shared]
         return found
 
     def translated(self, particles: LocalIndex, size: GlobalIndex, of: LocalIndex) -> LocalIndex:
-        """Return members (n_entries,) about own particles that lie as others do about those which stand for them.
+        """Translate members about representatives to the members (n_entries,) about own particles.
 
         Parameters
         ----------
@@ -264,14 +265,14 @@ class LatticeStencils:
         size : (n,) int64
             Number of members of each.
         of : (n_entries,) int32
-            The members of the particles that ``represented_by`` names, by their number in ``irregular``.
+            Members about the particles of ``represented_by``, by their number in ``irregular``.
         """
         cell, local = self.grid.cell, self.irregular.local
         shift = cell[particles] - cell[local[self.represented_by[particles]]]
         return np.asarray(self.grid.at[cell[local[of]] + np.repeat(shift, size)])
 
     def with_any(self, marked: Mask) -> Mask:
-        """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
+        """Return which own particles have a marked member in their family (n_owned,), for marks (n_local,)."""
         found = np.zeros(self.cloud.n_owned, dtype=bool)
         irregular = self.irregular
         of_irregular = np.empty(irregular.cloud.n_owned, dtype=bool)
@@ -285,7 +286,7 @@ class LatticeStencils:
         return found
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return both particles of bonds (n,) that connect what all bonds together do."""
+        """Return both particles of bonds (n,) with the same connectivity as all bonds together."""
         irregular, grid = self.irregular, self.grid
         number = np.repeat(np.arange(irregular.n), np.diff(irregular.indptr)[: irregular.n])
         one, other = [irregular.local[number]], [irregular.local[irregular.neighbours[: len(number)]]]
@@ -299,7 +300,7 @@ class LatticeStencils:
 
     @property
     def n_bonds(self) -> int:
-        """Return the bonds of the own particles."""
+        """Return the number of bonds of the own particles."""
         counts = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
         return int(self.irregular.indptr[self.irregular.n]) + sum(
             int(count) * len(steps) for count, steps in zip(counts, self.steps, strict=True)
@@ -312,12 +313,12 @@ class LatticeStencils:
 
     @cached_property
     def forces_on_cells(self) -> Float:
-        """Return an array on the lattice (dim, n_cells) of zeros, which whoever writes to it clears."""
+        """Return an array of zeros on the lattice (dim, n_cells); every function that writes to it must clear it."""
         return np.zeros((self.cloud.dim, len(self.grid.at)))
 
     @cached_property
     def steps(self) -> list[GlobalIndex]:
-        """Return the steps of the members of each pattern, in the order of the one that stands for it."""
+        """Return the steps to the members of each pattern, in the order of its representative."""
         irregular = self.irregular
         cell = self.grid.cell[irregular.local]
         return [
@@ -327,7 +328,7 @@ class LatticeStencils:
 
     @cached_property
     def irregular(self) -> IrregularRest:
-        """Return the particles whose families do not repeat, with one that stands for each pattern of the others."""
+        """Return the particles with irregular families, and a representative of each pattern."""
         cloud = self.cloud
         alone = np.flatnonzero(~self.shared)
         patterns, first = np.unique(self.pattern_of, return_index=True)
@@ -360,7 +361,7 @@ class LatticeStencils:
         return self.part(self.everyone)
 
     def part(self, particles: LocalIndex) -> Part:
-        """Return some own particles divided into rows that share a family and others; remembered by the array."""
+        """Divide own particles into rows with a shared family and irregular ones; cached for the array."""
         known = self._parts.get(id(particles))
         if known is None or known[0] is not particles:
             known = particles, self._divided(particles)
@@ -381,15 +382,15 @@ class LatticeStencils:
 def find_lattice(
     cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: float, in_order: bool = False
 ) -> LatticeStencils | None:
-    """Return which families repeat; None on all ranks where fewer than a share ``least`` of the particles share one.
+    """Find the shared families; None on all ranks if fewer than a share ``least`` of the particles share one.
 
     Parameters
     ----------
     cut : callable, optional
-        Tells which pairs of local particles (n, 2) are no bond.
+        Marks pairs of local particles (n, 2) without bond.
     in_order : bool
-        Whether particles share a family only where they list its members in the same order. Else what is listed for one
-        of them may be in another order than for the others, and on another rank count in a third.
+        Whether particles share a family only if they list its members in the same order. Otherwise the listed order of
+        a representative may differ from that of the others, and on another number of ranks again.
 
     Notes
     -----
@@ -409,7 +410,7 @@ def find_lattice(
 def _patterns(
     cloud: Cloud, grid: Grid, cut: Callable[[LocalIndex], Mask] | None, in_order: bool
 ) -> GlobalIndex:  # fmt: skip
-    """Return the pattern of each own particle (n_owned,), -1 where too few share it or they lie too far apart."""
+    """Return the pattern of each own particle (n_owned,), -1 if too few share it or they are too far apart."""
     n = cloud.n_owned
     typical = float(np.median(cloud.volume[:n])) if n else 0.0
     good = np.abs(cloud.volume - typical) <= ON_LATTICE * typical
@@ -441,7 +442,7 @@ def _patterns(
 
 
 def _not_along_axes(steps: GlobalIndex, along: GlobalIndex) -> GlobalIndex:
-    """Return the steps of a family along the axes, and those that moves along them do not reach within it."""
+    """Return the steps of a family along the axes, and those that steps along axes do not reach within it."""
     there = {int(step) for step in steps}
     reached, front = {0}, [0]
     while front:

@@ -1,4 +1,4 @@
-"""What a body takes in memory, predicted before it is allocated, against what the machines have free."""
+"""Predicted memory of a body, compared with the free memory of the machines before allocation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pdpetsc.discrete.communicator import Comm, agreed, largest, total
 from pdpetsc.discrete.places import Places
 from pdpetsc.errors import CaseError
 
-# Least memory of a particle until it has its rank, and of a bond until families are found [bytes].
+# Minimum memory of a particle until it is assigned to a rank, and of a bond until families are found [bytes].
 PER_PARTICLE, PER_BOND = 140.0, 40.0
-# Least memory of an image until ghosts are found [bytes].
+# Minimum memory of an image until ghosts are found [bytes].
 PER_IMAGE = 200.0
-# Particles whose families are counted.
+# Sample size for counting families.
 SAMPLE = 32
-# Images of a periodic cell are searched one after another.
+# Largest number of images of a periodic cell, which are searched one after another.
 MOST_IMAGES = 100_000
-# Where Linux says how much the control group of the process may take and takes, in its two versions.
+# Files of Linux with limit and use of memory of the control group of the process, in both versions.
 _GROUPS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current", "/sys/fs/cgroup/memory.stat"),
     (
@@ -36,7 +36,7 @@ _GROUPS = (
 
 
 def free_memory() -> float:
-    """Return the memory that this machine or job has free [bytes]; infinity where that is not known."""
+    """Return the free memory of this machine or job [bytes]; infinity if unknown."""
     free = math.inf
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -55,19 +55,19 @@ def free_memory() -> float:
 
 
 def refuse_beyond_memory(comm: Comm, needed: float, what: str) -> None:
-    """Raise on all ranks where what the ranks of a machine need is more than it has free.
+    """Raise on all ranks if the ranks of a machine need more memory than it has free.
 
     Parameters
     ----------
     needed : float
-        What this rank needs [bytes].
+        Memory that this rank needs [bytes].
     what : str
-        What it needs it for, for the message.
+        Purpose of the memory, for the message.
 
     Raises
     ------
     CaseError
-        A machine has too little.
+        A machine has too little memory.
 
     Notes
     -----
@@ -87,16 +87,16 @@ def refuse_beyond_memory(comm: Comm, needed: float, what: str) -> None:
 def predicted_bonds(
     comm: Comm, x: Float, horizon: float | Float, cell: Cell | None = None, planes: Sequence[Symmetry] = ()
 ) -> float:
-    """Return about how many bonds a body has, counted at a sample of its particles.
+    """Estimate the number of bonds of a body from a sample of its particles.
 
-    Where the horizon is longer than half a period, it is what a ball holds at the mean density of the cell.
+    If the horizon is longer than half a period, the estimate is the content of a ball at the mean density of the cell.
 
     Parameters
     ----------
     x : (n, dim) float64
-        The part of the particles that this rank holds [length].
+        Positions of the particles that this rank holds [length].
     horizon : float, or (n,) float64
-        Radius of the families, of all or of each of these particles [length].
+        Radius of the families [length]: one value, or one for each of these particles.
     cell : Cell, optional
         The periodic cell.
     planes : sequence of Symmetry
@@ -153,15 +153,15 @@ def predicted_bonds(
 
 
 def predicted_images(comm: Comm, x: Float, widest: float, cell: Cell | None = None) -> float:
-    """Return about how many periodic images of particles all ranks together receive when ghosts are searched.
+    """Estimate the number of periodic images that all ranks together receive in the search of ghosts.
 
-    With ``p`` horizons a period along each of ``k`` periodic axes, a rank of ``size`` that holds an equal part of the
-    cell receives ``n (prod(size^(-1/k) + 2 p) - 1 / size)``.
+    A rank of ``size`` that holds an equal part of the cell receives ``n (prod(size^(-1/k) + 2 p) - 1 / size)``. ``p``
+    is the horizon over the period along each of ``k`` periodic axes.
 
     Parameters
     ----------
     x : (n, dim) float64
-        The part of the particles that this rank holds [length].
+        Positions of the particles that this rank holds [length].
     widest : float
         Radius of the largest families [length].
     cell : Cell, optional
@@ -180,6 +180,6 @@ def predicted_images(comm: Comm, x: Float, widest: float, cell: Cell | None = No
 
 
 def _periods(dim: int, widest: float, cell: Cell | None) -> tuple[Float, Float]:
-    """Return the periods of a cell (dim,) [length], 0 along other axes, and the horizon in each of these."""
+    """Return the periods of a cell (dim,) [length], 0 along other axes, and the ratio of the horizon to each."""
     lengths = np.zeros(dim) if cell is None or cell.dim != dim else cell.lengths
     return lengths, np.where(lengths > 0.0, widest / np.where(lengths > 0.0, lengths, 1.0), 0.0)

@@ -1,4 +1,4 @@
-"""What the other end of a bond knows: exchange of numbers between the two directions of bonds."""
+"""Exchange of numbers between the two directions of bonds."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pdpetsc.discrete.families import Families
 
 
 class OppositeBonds:
-    """Finds the direction ``ji`` of every bond ``ij``, on whichever rank it is.
+    """Find the direction ``ji`` of every bond ``ij``, on any rank.
 
     Parameters
     ----------
     cloud, families
         Particles and bonds.
     keys : (n_bonds, 3) int64
-        The same for both directions of a bond and for no other.
+        Keys, equal for both directions of a bond and different for all other bonds.
 
     Notes
     -----
@@ -32,7 +32,7 @@ class OppositeBonds:
         owner = np.searchsorted(firsts, cloud.row[families.neighbours], side="right") - 1
         away = np.flatnonzero(owner != comm.rank)
         here = np.flatnonzero(owner == comm.rank)
-        # A bond to the own mirror image has one direction only, which is its own opposite.
+        # A bond to the own mirror image has only one direction, which is its own opposite.
         self._partner = np.arange(self._n)
         order = here[np.lexsort(keys[here].T[::-1])]
         same = np.flatnonzero((keys[order[1:]] == keys[order[:-1]]).all(axis=1))
@@ -43,7 +43,7 @@ class OppositeBonds:
         mine = np.full(len(both), -1, dtype=np.int64)
         mine[number[: len(away)]] = away
         bond = mine[number[len(away) :]]
-        # Of bonds that exist from one end alone nothing comes back.
+        # Bonds that exist from one end only receive nothing.
         found = bond >= 0
         self._bond = bond[found]
         self._rank = np.repeat(np.arange(comm.size), counts)[found]
@@ -55,9 +55,9 @@ class OppositeBonds:
         self._sign = sign
 
     def of(self, values: Float) -> Float:
-        """Return for every bond what its other direction has (n_bonds, ...), of ``values`` (n_bonds, ...).
+        """Return the values of the opposite direction of every bond (n_bonds, ...), for ``values`` (n_bonds, ...).
 
-        A bond that exists from one end alone has its own.
+        A bond that exists from one end only gets its own value.
         """
         found = values[self._partner]
         (there, theirs), _ = exchange(self._comm, self._rank, [self._there, values[self._bond]])
@@ -65,5 +65,5 @@ class OppositeBonds:
         return np.asarray(found)
 
     def of_vectors(self, values: Float) -> Float:
-        """Return ``of`` vectors (n_bonds, dim), mirrored where the other end is behind a mirror plane."""
+        """Return ``of`` vectors (n_bonds, dim), mirrored if the other end is behind a mirror plane."""
         return np.asarray(self._sign * self.of(values))

@@ -17,10 +17,10 @@ Work: TypeAlias = Callable[[Float, Float, LocalIndex], None]
 
 
 class Overlap:
-    """Applies work on families to displacements and gathers the forces.
+    """Apply work on families to displacements and gather the forces.
 
-    While ghosts arrive half of the families without ghosts are done, while forces on ghosts are sent home the other
-    half; those with ghosts are done in between.
+    Half of the families without ghosts are processed while ghosts arrive, the other half while forces on ghosts are
+    sent back. Families with ghosts are processed in between.
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ class Overlap:
 
     Notes
     -----
-    Applying it is collective.
+    Application is collective.
     """
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self._cloud = cloud
         with_ghosts = families.with_any(np.arange(cloud.n_local) >= cloud.n_owned)
         if cloud.comm.size == 1:
-            # There is nothing to hide the work behind, and in one piece it is quicker.
+            # Without communication, one loop is faster.
             with_ghosts[:] = True
         inside = np.flatnonzero(~with_ghosts).astype(np.int32)
         self._first, self._last = inside[: len(inside) // 2], inside[len(inside) // 2 :]
@@ -45,7 +45,7 @@ class Overlap:
         self._f = np.empty((cloud.n_local, cloud.dim))
 
     def __call__(self, u: Float, work: Work) -> Float:
-        """Return the forces on the unknowns (n_rows, dim) for the unknowns ``u``; the next call may overwrite them."""
+        """Compute the forces on the unknowns (n_rows, dim) for unknowns ``u``; the next call may overwrite them."""
         v, f = self._u, self._f
         arrived = start_displacements(self._cloud, u, v)
         f[:] = 0.0
@@ -58,7 +58,7 @@ class Overlap:
 
 
 def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
-    """Write unknowns (n_rows, dim) into own rows of ``v`` (n_local, dim); what is returned completes the others."""
+    """Write unknowns (n_rows, dim) to own rows of ``v`` (n_local, dim); return a function that completes the ghosts."""
     n = cloud.n_owned
     v[:n] = u[:n]
     arrived = cloud.halo.start_forward(v)
@@ -74,9 +74,9 @@ def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
 
 
 def start_forces(cloud: Cloud, f: Float) -> Callable[[], Float]:
-    """Send forces on ghosts home; what is returned adds them and returns those on the unknowns (n_rows, dim).
+    """Send forces on ghosts to their owners; return a function that adds them and returns the forces (n_rows, dim).
 
-    ``f`` (n_local, dim) is complete on ghosts, may still grow on own rows, and is overwritten.
+    ``f`` (n_local, dim) must be complete on ghosts. Own rows may still be added to. It is overwritten.
     """
     n = cloud.n_owned
     virtual = None if cloud.images is None else cloud.images.force(cloud.offset, f[n:])

@@ -7,9 +7,10 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import Comm, largest, smallest, total
 
-# Relative size of the other coordinates in the sort key: splits the ties of a lattice plane along the next axis.
+# Relative weight of the other coordinates in the sort key: it separates the ties of a lattice plane along the next
+# axis.
 TIE = 1e-6
-# Bisections of the position of a cut; double precision has no more.
+# Bisections of the position of a cut; double precision resolves no more.
 BISECTIONS = 60
 
 
@@ -19,16 +20,16 @@ def bisect(comm: Comm, x: Float) -> LocalIndex:
     Parameters
     ----------
     x : (n, dim) float64
-        Positions [length] of the particles this rank holds for now.
+        Positions [length] of the particles that this rank currently holds.
 
     Returns
     -------
     (n,) int32
-        Part of each particle. The parts depend on the cloud only, not on who held what.
+        Part of each particle. The parts depend on the cloud only, not on its distribution before.
 
     Notes
     -----
-    Collective; ``log2(size)`` levels, each one vector reduction per bisection of the cut position.
+    Collective; ``log2(size)`` levels, each with one vector reduction per bisection of the cut position.
     """
     part = np.zeros(len(x), dtype=np.int32)
     spans = [(0, comm.size)]
@@ -52,7 +53,7 @@ def bisect(comm: Comm, x: Float) -> LocalIndex:
 
 
 def _keys(comm: Comm, x: Float, members: Mask) -> Float:
-    """Return the position in [0, 1] along the longest side of the members' box, ties broken by the other sides."""
+    """Compute the position in [0, 1] along the longest side of the bounding box; other sides separate ties."""
     dim = x.shape[1]
     chosen = x[members]
     low = np.array([smallest(comm, chosen[:, d].min(initial=np.inf)) for d in range(dim)])

@@ -1,4 +1,4 @@
-"""Images of particles across the sides of a periodic cell, and the mean strain that they move with."""
+"""Images of particles across the sides of a periodic cell, and the mean strain that displaces them."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from pdpetsc.declare.cell import Cell
 from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.errors import CaseError
 
-# A particle may lie this far outside its cell, as a share of the period.
+# Tolerance of positions outside the cell, as a share of the period.
 OUTSIDE = 1e-9
 
 
 class Images:
-    """The virtual unknowns of a periodic cell: one per component of its mean strain.
+    """Store the virtual unknowns of a periodic cell: one per component of its mean strain.
 
-    Unknown ``q_ab`` is the elongation ``strain_ab sqrt(L_a L_b)`` [length]; the unknowns fill rows of ``dim`` entries
-    that follow the particles of the last rank, whose last entries are unused where their number is not a multiple.
+    Unknown ``q_ab`` is the elongation ``strain_ab sqrt(L_a L_b)`` [length]. The unknowns fill rows of ``dim`` entries
+    that follow the particles of the last rank. The last entries are unused if the number of unknowns is not a multiple
+    of ``dim``.
 
     Parameters
     ----------
@@ -31,9 +32,9 @@ class Images:
     Attributes
     ----------
     n_rows : int
-        Virtual rows.
+        Number of virtual rows.
     here : bool
-        Whether this rank holds them: the last one does.
+        Whether this rank holds them; only the last rank does.
     sizes : (n_components,) float64
         ``sqrt(L_a L_b)`` of every unknown [length].
     """
@@ -50,7 +51,7 @@ class Images:
         self.sizes: Float = np.array([np.sqrt(lengths[a] * lengths[b]) for a, b in pairs])
 
     def strain(self, rows: Float) -> Float:
-        """Return the mean strain (dim, dim) on every rank from the virtual rows (collective).
+        """Compute the mean strain (dim, dim) on every rank from the virtual rows (collective).
 
         Parameters
         ----------
@@ -67,9 +68,9 @@ class Images:
         return strain
 
     def force(self, offset: Float, f: Float) -> Float:
-        """Return the forces on the virtual unknowns from those on images, on the last rank; no rows elsewhere.
+        """Compute the forces on the virtual unknowns from those on images, on the last rank; no rows elsewhere.
 
-        ``Q_ab = sum_k (f_a o_b + f_b o_a) / sqrt(L_a L_b)``, half of it for ``a = b``, with the offset ``o`` of image
+        ``Q_ab = sum_k (f_a o_b + f_b o_a) / sqrt(L_a L_b)``, half of it for ``a = b``. ``o`` is the offset of image
         ``k`` from its particle.
 
         Parameters
@@ -90,13 +91,13 @@ class Images:
         return Q.reshape(-1, dim)
 
     def conjugate(self, moment: Float) -> Float:
-        """Return the forces on the unknowns (n_components,) from ``sum f (x) o`` (dim, dim) [energy]."""
+        """Compute the forces on the unknowns (n_components,) from ``sum f (x) o`` (dim, dim) [energy]."""
         both = moment[self._a, self._b] + moment[self._b, self._a]
         return np.asarray(np.where(self._a == self._b, 0.5, 1.0) * both / self.sizes)
 
 
 def shifts(cell: Cell, horizon: float) -> list[GlobalIndex]:
-    """Return the numbers of periods (dim,) that an image within one horizon of the cell can be away, none included."""
+    """Return the numbers of periods (dim,) of images within one horizon of the cell, zero included."""
     lengths = cell.lengths
     reach = [int(np.ceil(horizon / length)) if length > 0.0 else 0 for length in lengths]
     return [np.array(n) for n in itertools.product(*[range(-r, r + 1) for r in reach])]

@@ -1,4 +1,4 @@
-"""The places that images of particles can be in: periods away, and behind mirror planes."""
+"""Places of images of particles: periods away, and behind mirror planes."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.errors import CaseError
 
-# Particles this near to a mirror plane, as a share of their horizon, lie on it.
+# A particle this close to a mirror plane, as a share of its horizon, lies on it.
 ON_PLANE = 1e-6
 
 
 @dataclass(frozen=True)
 class Places:
-    """Images: particle ``x`` is at ``sign * x + shift`` in each place.
+    """Store the places of images: particle ``x`` is at ``sign * x + shift`` in each place.
 
-    A place is numbered by ``q - home`` with its row ``q`` below: 0 is at home. Rows with the same mirror image follow
-    one another, one for each period, the opposite period at the opposite end.
+    A place with row ``q`` below has the number ``q - home``; 0 is home. Rows with the same mirror image are
+    consecutive, one for each period, with opposite periods at opposite ends.
 
     Attributes
     ----------
     sign : (n_places, dim) float64
         -1 along the axes of the planes that the place is behind, else 1.
     shift : (n_places, dim) float64
-        [length]
+        Translation [length].
     period : (n_places, dim) float64
-        The whole periods in ``shift`` [length].
+        Whole periods in ``shift`` [length].
     n_periods : int
-        How many of the places are behind the same planes, an odd number.
+        Number of places behind the same planes, an odd number.
     planes : dict of int to float
-        Where the planes cross their axes [length].
+        Position of each plane on its axis [length].
     """
 
     sign: Float
@@ -46,7 +46,7 @@ class Places:
 
     @classmethod
     def of(cls, dim: int, planes: Sequence[Symmetry], periods: Sequence[Float]) -> Places:
-        """Return all places behind any of the planes and ``periods`` away, of which the middle one is none."""
+        """Build all places behind any of the planes and ``periods`` away; the middle period must be zero."""
         sign, shift, period = [], [], []
         for behind in itertools.product((False, True), repeat=len(planes)):
             flip, to = np.ones(dim), np.zeros(dim)
@@ -62,34 +62,34 @@ class Places:
 
     @property
     def n(self) -> int:
-        """Return how many there are, the one at home among them."""
+        """Return the number of places, including home."""
         return len(self.sign)
 
     @property
     def home(self) -> int:
-        """Return the row of the place that is no image's."""
+        """Return the row of the place without image."""
         return self.n_periods // 2
 
     @property
     def mirrors(self) -> tuple[Float, Float]:
-        """Return sign and shift of every combination of planes (n_mirrors, dim), none of them first."""
+        """Return sign and shift of every combination of planes (n_mirrors, dim); the first one contains no plane."""
         rows = slice(self.home, None, self.n_periods)
         return self.sign[rows], self.shift[rows] - self.period[rows]
 
     def behind(self, place: GlobalIndex) -> GlobalIndex:
         """Return the number of the combination of planes that places are behind (n,), 0 for none.
 
-        Combinations are numbered by the bits of their planes: ``^`` gives the one of two after each other.
+        Combinations are numbered by the bits of their planes: ``^`` gives the combination of two successive ones.
         """
         return np.asarray((place + self.home) // self.n_periods)
 
     def opposite(self, place: GlobalIndex) -> GlobalIndex:
-        """Return the places that home is in, seen from these (n,)."""
+        """Return the places of home as seen from these (n,)."""
         behind, period = np.divmod(place + self.home, self.n_periods)
         return np.asarray(behind * self.n_periods + self.n_periods - 1 - period - self.home)
 
     def at_home(self, place: GlobalIndex, x: Float) -> Float:
-        """Return where points ``x`` (n, dim) lie in the body at home whose images are in these places [length]."""
+        """Return the positions at home of points ``x`` (n, dim) whose images are in these places [length]."""
         row = place + self.home
         return np.asarray(self.sign[row] * (x - self.shift[row]))
 

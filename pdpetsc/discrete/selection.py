@@ -1,4 +1,4 @@
-"""Which particles a region selects."""
+"""Selection of particles by regions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pdpetsc.errors import CaseError
 
 
 def select(cloud: Cloud, region: Region, name: str) -> Mask:
-    """Return which own particles a region selects; raise on all ranks where it selects none (collective).
+    """Return which own particles a region selects; raise on all ranks if it selects none (collective).
 
-    A region may fail on one rank only, and may ask for the smallest of a number over all parts. So it is asked without
-    communication first, which records these numbers, and again with the smallest ones where there are any.
+    A region may fail on one rank only, and may request the minimum of a number over all parts. It is therefore
+    evaluated first without communication, which records these numbers, and if there are any again with their minima.
     """
     comm, n = cloud.comm, cloud.n_owned
     x, sets = cloud.x[:n], {key: flags[:n] for key, flags in cloud.sets.items()}
@@ -41,7 +41,7 @@ def select(cloud: Cloud, region: Region, name: str) -> Mask:
 
 
 def _mask(region: Region, view: View, name: str) -> Mask:
-    """Return the mask of a region, whose own errors are sentences (not collective)."""
+    """Return the mask of a region, whose own errors become one sentence (not collective)."""
     mask = np.asarray(called(f"region of {name}", region.mask, view))
     if mask.shape != (len(view.x),) or mask.dtype != bool:
         raise CaseError(f"The region of {name} must give {(len(view.x),)} bool, not {mask.shape} {mask.dtype}.")

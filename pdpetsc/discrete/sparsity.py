@@ -1,4 +1,4 @@
-"""Where the tangent has blocks, and the exchange that completes rows other ranks contribute to."""
+"""Sparsity of the tangent, and the exchange that completes rows with contributions of other ranks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pdpetsc.kernels.sparsity import merge_rows, product_sparsity, transpose
 
 @dataclass(frozen=True)
 class Rows:
-    """A set of block rows, the own columns of each row before the others.
+    """Store block rows; in each row the own columns precede the others.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Rows:
     diag_ptr, off_ptr : (n_rows + 1,) int64
         Blocks in own and in other columns.
     columns : (n_blocks,) int64
-        Column of every block, own ones of a row first: below ``n_owned`` own particles, from there on the sorted
-        other columns.
+        Column of every block, own columns of a row first. Columns below ``n_owned`` are own particles; from there on
+        the sorted other columns.
     """
 
     first: int
@@ -38,16 +38,16 @@ class Rows:
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Where the blocks go that other ranks assembled for this rank's rows.
+    """Store the destinations of the blocks that other ranks assembled for rows of this rank.
 
     Attributes
     ----------
     row_blocks : (n_rows,) int64
-        Blocks of each received row.
+        Number of blocks of each received row.
     start, slot, width : (n_blocks,) int64
-        Of the receiving row: blocks before it, position of this block in it, and its number of blocks.
+        Blocks before the receiving row, position of the block in the row, and number of blocks of the row.
     in_diag : (n_blocks,) bool
-        Whether these count in the own columns or in the others.
+        Whether these refer to the own columns or to the others.
     """
 
     row_blocks: GlobalIndex
@@ -59,17 +59,16 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class Border:
-    """Own particles whose forces depend on the virtual unknowns, and those of all ranks where the unknowns are.
+    """Store the own particles whose forces depend on the virtual unknowns; on the last rank those of all ranks.
 
     Attributes
     ----------
     particles : (n,) int64
         Own particles with blocks in the virtual columns.
     columns : (n_virtual_global,) int64
-        Number of the virtual columns on this rank.
+        Numbers of the virtual columns on this rank.
     arrived : (n_all,) int64
-        Number of the column of every such particle of all ranks, in the order that ``gather`` brings them; empty where
-        the unknowns are not.
+        Column of every such particle of all ranks, in the order of ``gather``; empty on ranks without the unknowns.
     """
 
     comm: Comm
@@ -78,30 +77,31 @@ class Border:
     arrived: GlobalIndex
 
     def gather(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return ``values`` (n, ...) of all ranks' particles on the last rank, none elsewhere (collective)."""
+        """Gather ``values`` (n, ...) of all ranks on the last rank, nothing elsewhere (collective)."""
         return _to_last(self.comm, values)
 
 
 @dataclass(frozen=True)
 class Sparsity:
-    """Where a matrix ``G^T D G``, distributed by rows, has blocks that may not be zero.
+    """Store the possibly nonzero blocks of a matrix ``G^T D G``, distributed by rows.
 
     Columns are numbered: own particles, own virtual rows, then the others in the order of their global rows.
 
     Attributes
     ----------
     owned, ghost : Rows
-        Rows of the own particles, complete; and this rank's share of the rows of its ghosts.
+        Rows of the own particles, complete, and the share of this rank in the rows of its ghosts.
     virtual : Rows
-        Rows of the virtual unknowns that this rank holds; their own columns are of particles and virtual.
+        Rows of the virtual unknowns that this rank holds; their own columns are those of particles and virtual
+        unknowns.
     other_columns : (n_other,) int64
-        Global row number of the columns that this rank does not own, ascending.
+        Global row numbers of the columns that this rank does not own, ascending.
     locals_of_columns : (n_columns + 1,) int64, (n_local,) int32, (n_local,) int32, (n_mirrors, dim) float64
-        Where the local particles of each column start in the second array: several where there are images, none for a
-        column that only other ranks add to. Which mirror planes each local particle is behind, and what multiplies the
-        components of the vectors of those that are behind them.
+        Start of the local particles of each column in the second array: several with images, none for a column to which
+        only other ranks add. Then the combination of mirror planes that each local particle is behind, and the factors
+        of vector components behind each combination.
     border : Border or None
-        Where the rows meet the virtual unknowns of a periodic cell.
+        Coupling of the rows with the virtual unknowns of a periodic cell.
     arrivals : Arrivals
         Destination of the received ghost rows.
     """
@@ -117,7 +117,7 @@ class Sparsity:
 
     @property
     def n_own_columns(self) -> int:
-        """Return the columns that this rank owns."""
+        """Return the number of columns that this rank owns."""
         return self.cloud.n_rows
 
     @property
@@ -133,11 +133,11 @@ class Sparsity:
 
     @property
     def n_blocks(self) -> int:
-        """Return the number of blocks in this rank's rows."""
+        """Return the number of blocks in the rows of this rank."""
         return len(self.owned.columns) + len(self.virtual.columns)
 
     def of_other_columns(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the owners' rows of ``values`` (n_owned, ...) for the columns this rank does not own (collective)."""
+        """Fetch the rows of ``values`` (n_owned, ...) of the columns that this rank does not own (collective)."""
         comm, cloud = self.cloud.comm, self.cloud
         firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
         owner = np.searchsorted(firsts, self.other_columns, side="right") - 1
@@ -147,12 +147,12 @@ class Sparsity:
         return answer
 
     def complete(self, ghost_values: Float, diag: Float, off: Float, dim: int) -> None:
-        """Send assembled ghost rows to their owners and add what arrives to ``diag`` and ``off``.
+        """Send assembled ghost rows to their owners and add the received rows to ``diag`` and ``off``.
 
         Parameters
         ----------
         ghost_values : (dim * dim * ghost blocks,) float64
-            This rank's share of the ghost rows, in scalar CSR layout.
+            Share of this rank in the ghost rows, in scalar CSR layout.
         diag, off : float64
             Values of the own rows, in scalar CSR layout.
         dim : int
@@ -170,7 +170,7 @@ class Sparsity:
 
 
 def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Sparsity:
-    """Return where ``G^T D G`` has blocks for the stencils ``members[point_ptr[p]:point_ptr[p + 1]]``.
+    """Build the sparsity of ``G^T D G`` for the stencils ``members[point_ptr[p]:point_ptr[p + 1]]``.
 
     Notes
     -----
@@ -222,7 +222,7 @@ def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) ->
 
 
 def positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
-    """Return where the values of the diagonal block of each row are (n_rows, dim, dim)."""
+    """Return the positions of the values of the diagonal block of each row (n_rows, dim, dim)."""
     row = np.repeat(np.arange(len(rows.diag_ptr) - 1), np.diff(rows.diag_ptr))
     block = np.flatnonzero(rows.columns[rows.columns < n_own] == row)
     width = np.diff(rows.diag_ptr)
@@ -232,7 +232,7 @@ def positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
 
 
 def _one_of_each(cloud: Cloud) -> LocalIndex:
-    """Return for every local particle the first local one with the same row: images share the columns of a particle."""
+    """Return for every local particle the first local particle with the same row; images share the columns."""
     _, first, inverse = np.unique(cloud.row, return_index=True, return_inverse=True)
     return first[inverse].astype(np.int32)
 
@@ -254,7 +254,7 @@ def _bordering(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Glo
 
 
 def sharing_stencil(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex, marked: Float) -> Mask:
-    """Return the own particles that are in a stencil with a local particle that is marked (n_local,) (collective)."""
+    """Return the own particles in a stencil with a marked local particle (n_local,) (collective)."""
     n_points = len(point_ptr) - 1
     point_of = np.repeat(np.arange(n_points), np.diff(point_ptr))
     touched = np.bincount(point_of, marked[members], n_points) > 0.0
@@ -283,7 +283,7 @@ def _arrivals(
     arriving: GlobalIndex,
     n_own: int,
 ) -> Arrivals:
-    """Locate each arriving block in the sorted rows: by (row, column) keys, which both lists are ordered by."""
+    """Locate each arriving block in the sorted rows, by (row, column) keys that order both lists."""
     width = int(columns.max(initial=0)) + 1
     row = np.repeat(rows, row_blocks).astype(np.int64)
     keys = np.repeat(np.arange(len(row_ptr) - 1, dtype=np.int64), np.diff(row_ptr)) * width + columns

@@ -1,4 +1,4 @@
-"""The surface of a distributed cloud, and the interpolation between its facets and the particles near them."""
+"""Surface of a distributed cloud, and the interpolation between facets and particles near them."""
 
 from __future__ import annotations
 
@@ -17,41 +17,42 @@ from pdpetsc.discrete.communicator import agreed, fetch, smallest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
-# A surface is closed, and encloses the volume of its particles, up to this share of its area and of that volume.
+# Tolerance of a closed surface, as a share of its area, and of its enclosed volume, as a share of the volume.
 CLOSED = 1e-8
-# Two facets are on each other's back where they are this near a whole period apart, as a share of the period.
+# Two facets are opposite if their distance is a whole period up to this share of the period.
 ON_SIDE = 1e-9
-# A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
+# A particle closer to its facet than this share of the horizon lies on it, as nodes of a mesh do.
 NEAR_FACET = 1e-6
-# A particle nearer to its facet than this share of its horizon gives no unit of distance: others would have no weight.
+# The distance of a particle to its facet is no unit of length if it is below this share of its horizon: others would
+# have no weight.
 SHORT = 0.05
-# A family has no extent along a principal axis where its second moment is this share of the largest.
+# A family has no extent along a principal axis if its second moment is below this share of the largest.
 FLAT = 1e-8
-# A bond goes straight through a facet where the cosine between it and the normal is above this.
+# A bond goes straight through a facet if the cosine of its angle with the normal is above this.
 ACROSS = 0.8
-# A linear function is fitted to particles where the least eigenvalue of their moments is above this, in horizons.
+# A linear function is fitted if the smallest eigenvalue of the moments of the particles is above this, in horizons.
 EXTENT = 1e-3
-# A facet lies on a mirror plane where it is this near to it, as a share of the horizon.
+# Distance of a facet on a mirror plane, as a share of the horizon.
 ON_MIRROR = 1e-6
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Facets of the own particles of a rank, interpolated from the families of these.
+    """Store the facets of the own particles of a rank, with an interpolation from their families.
 
-    ``N_f(x_k)`` is linear-exact: ``sum_k N_f(x_k) = 1`` and ``sum_k N_f(x_k) x_k = x_f``, by moving least squares over
-    the particle whose cell the facet bounds and its family. No crack lies between these.
+    ``N_f(x_k)`` is linear-exact: ``sum_k N_f(x_k) = 1`` and ``sum_k N_f(x_k) x_k = x_f``. It is a moving least squares
+    fit over the particle whose cell the facet bounds, and its family. No crack lies between these.
 
     Attributes
     ----------
     x, area : (n_facets, dim) float64
         Centroids [length] and outward vector areas [area].
     owner : (n_facets,) int64
-        The own particle whose cell each bounds.
+        Own particle whose cell each facet bounds.
     tags : mapping of str to (n_facets,) bool
         Named parts.
     ptr : (n_facets + 1,) int64
-        Where the particles of each facet start.
+        Start of the particles of each facet.
     members : (n_entries,) int32
         Local particles.
     N : (n_entries,) float64
@@ -72,17 +73,17 @@ class Surface:
             onto[:, axis] += np.bincount(self.members, self.N * values[self._facet_of, axis], len(onto))
 
     def interpolated(self, values: Float) -> Float:
-        """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
+        """Compute ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
         return np.asarray(np.bincount(self._facet_of, self.N * values[self.members], len(self.x)))
 
     def extrapolated(self, cloud: Cloud, families: Families, values: Float, sign: Float | None = None) -> Float:
-        """Return a field of the own particles (n_owned,) at the facets (n_facets,), without the layer behind these.
+        """Extrapolate a field of the own particles (n_owned,) to the facets (n_facets,), without the outermost layer.
 
-        The gradients of the particles that own a facet, whose families the surface cuts most, are wrong by a share of
-        a spacing times the next derivative, those of the others hardly. A linear function is fitted to the others in
-        every family; a facet takes the mean of those around its particle, by the least eigenvalue of the moments that
-        each was fitted with. It is linear-exact. Where a body is so thin that there are no others it is
-        ``interpolated``.
+        The surface cuts the families of the particles that own a facet most. Their gradients have an error of a share
+        of a spacing times the next derivative; those of the others are almost exact. A linear function is fitted to the
+        others in every family. A facet gets the mean of the fits around its particle, weighted by the smallest
+        eigenvalue of the moments of each fit. The result is linear-exact. In a body so thin that there are no others it
+        is ``interpolated``.
 
         Parameters
         ----------
@@ -93,7 +94,7 @@ class Surface:
         values : (n_owned,) float64
             The field.
         sign : (n_ghosts,) float64, optional
-            What multiplies it in images behind mirror planes [-].
+            Factor of the field in images behind mirror planes [-].
 
         Notes
         -----
@@ -137,7 +138,7 @@ class Surface:
         return np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
 
     def select(self, cloud: Cloud, region: Region, what: str) -> Mask:
-        """Return which facets have their centroid in a region; named regions are tags, or sets of their particles.
+        """Return which facets have their centroid in a region; names are tags of facets, or sets of their particles.
 
         Raises
         ------
@@ -161,17 +162,17 @@ class Surface:
 
 
 def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
-    """Return the surface of the own particles from the facets that this rank created with its part of the particles.
+    """Build the surface of the own particles from the facets that this rank created.
 
     Parameters
     ----------
     created : Facets
-        Facets of the particles that this rank created, counted from its first one.
+        Facets of the particles that this rank created, numbered from its first particle.
 
     Raises
     ------
     CaseError
-        The surface is not closed, or does not enclose the volume of the particles, on every rank.
+        The surface is not closed, or does not enclose the volume of the particles; raised on every rank.
 
     Notes
     -----
@@ -201,7 +202,7 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
 
 
 def _refuse_far(cloud: Cloud, x: Float, owner: GlobalIndex) -> None:
-    """Raise on all ranks where a facet is further than a horizon from the particle whose cell it bounds."""
+    """Raise on all ranks if a facet is further than a horizon from the particle whose cell it bounds."""
     apart = np.linalg.norm(x - cloud.x[owner], axis=1)
     with agreed(cloud.comm):
         far = np.flatnonzero(apart > cloud.horizon * (1.0 + ON_MIRROR))
@@ -213,9 +214,9 @@ def _refuse_far(cloud: Cloud, x: Float, owner: GlobalIndex) -> None:
 
 
 def _before_images(cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex) -> Mask:
-    """Return which facets have images behind them: on a mirror plane, or on the back of another one a period away.
+    """Return which facets have images behind them: on a mirror plane, or opposite to another facet a period away.
 
-    A crack along the plane or the side of the cell cuts the bond through the facet, which is one of the surface then.
+    A crack along the plane or the side of the cell cuts the bond through the facet, which is then part of the surface.
 
     Notes
     -----
@@ -253,14 +254,14 @@ def _before_images(cloud: Cloud, families: Families, x: Float, area: Float, owne
         mine = ranks[one] == comm.rank
         one, other = one[mine], other[mine]
         facet = across[one - np.searchsorted(ranks, comm.rank)]
-        # The particle behind the other facet, where it is seen from this one.
+        # Position of the particle behind the other facet, as seen from this facet.
         image = owners[other] + every[one] - every[other]
         found[facet[_bonded(cloud, families, owner[facet], image)]] = True
     return found
 
 
 def _bonded(cloud: Cloud, families: Families, owner: GlobalIndex, places: Float) -> Mask:
-    """Return which own particles have a bond to the one at a place (n, dim), or are too far from it for one."""
+    """Return which own particles have a bond to the particle at a position (n, dim), or are too far away for one."""
     count = np.diff(families.indptr)[owner]
     of = np.repeat(np.arange(len(owner)), count)
     bond = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + families.indptr[owner][of]
@@ -271,15 +272,15 @@ def _bonded(cloud: Cloud, families: Families, owner: GlobalIndex, places: Float)
 
 
 def refuse_joined(cloud: Cloud, families: Families, surface: Surface, thickness: float) -> None:
-    """Raise on all ranks where a bond goes through the middle of a facet to a particle right behind it.
+    """Raise on all ranks if a bond goes through the middle of a facet to a particle directly behind it.
 
-    Such a facet is none of the surface: the cells of two parts of a mesh touch without common nodes, or the sides of a
-    periodic cell do not match. Weights would conform to a surface that the bonds do not know.
+    Such a facet is not part of the surface: cells of two parts of a mesh touch without common nodes, or the sides of a
+    periodic cell do not match. Weights would conform to a surface that the bonds do not have.
 
     Parameters
     ----------
     thickness : float
-        Of a plane body [length].
+        Thickness of a plane body [length].
 
     Notes
     -----
@@ -288,14 +289,14 @@ def refuse_joined(cloud: Cloud, families: Families, surface: Surface, thickness:
     dim, of = cloud.dim, surface._facet_of
     size = np.linalg.norm(surface.area, axis=1)
     normal = surface.area / size[:, None]
-    # Half the length of a facet, which is a point on a line.
+    # Half the length of a facet; a facet of a line is a point.
     half = 0.5 * {1: np.full(len(size), np.inf), 2: size / thickness, 3: np.sqrt(size)}[dim]
     depth = np.einsum("fi,fi->f", surface.x - cloud.x[surface.owner], normal)
     behind = np.einsum("ei,ei->e", cloud.x[surface.members] - surface.x[of], normal[of])
     bond = cloud.x[surface.members] - cloud.x[surface.owner[of]]
     straight = np.einsum("ei,ei->e", bond, normal[of]) > ACROSS * np.linalg.norm(bond, axis=1)
-    # Beyond twice the depth of the cell there may be the other side of a narrow gap; beside a rough surface others lie
-    # a little behind.
+    # Beyond twice the depth of the cell there may be the other side of a narrow gap. At a rough surface, other
+    # particles lie a little behind the facet.
     near = np.flatnonzero(straight & (behind > 0.3 * depth[of]) & (behind <= 2.0 * depth[of]))
     f, k = of[near], surface.members[near]
     share = (depth[f] / (depth[f] + behind[near]))[:, None]
@@ -318,7 +319,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
     size = float(total(comm, float(np.linalg.norm(area, axis=1).sum())))
     sums = total(comm, area.sum(axis=0))
     centre = total(comm, (cloud.x[: cloud.n_owned]).sum(axis=0)) / cloud.n_global
-    # What is left out on a mirror plane has areas along its normal alone, and no moment about a point on it.
+    # The omitted facets on a mirror plane have areas along its normal only, and no moment about a point on it.
     for axis, at in cloud.places.planes.items():
         sums[axis], centre[axis] = 0.0, at
     moment = total(comm, (x - centre).T @ area)
@@ -345,7 +346,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
 def _interpolated(
     cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
-    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
+    """Compute ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
     dim, size = cloud.dim, np.diff(families.indptr)[owner]
     ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
     of = np.repeat(np.arange(len(x)), size + 1)
@@ -354,12 +355,12 @@ def _interpolated(
     members = np.where(place == 0, owner[of], families.neighbours[bond] if len(families.neighbours) else 0)
     members = members.astype(np.int32)
     apart = cloud.x[members] - x[of]
-    # Distances in units of that of the particle behind the facet, which is half a spacing.
+    # The unit of distance is that of the particle behind the facet, half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
     reach = cloud.local_horizon[owner][of, None]
     unit = np.where(unit > SHORT * reach, unit, 0.25 * reach)
     apart = apart / unit
-    # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
+    # Without extent of the family in a direction (a line or a plane of particles) there is no slope. Facets beside it
     # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.
     on_face = _on_face(cloud, area, members, of, ptr, apart * unit)
     axes, spread = _extent(cloud, members, of, ptr, unit, on_face)
@@ -376,10 +377,10 @@ def _interpolated(
 
 
 def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, apart: Float) -> Float:
-    """Return 1 for the particles that a facet is interpolated from, 0 for others (n_entries,).
+    """Return 1 for the particles from which a facet is interpolated, 0 for others (n_entries,).
 
-    Where the particle behind it sits on the facet, as nodes of a mesh do, these are the ones in its plane: a force on
-    it then acts on the boundary alone, and all of it on supports where these hold the boundary.
+    If the particle behind the facet lies on it, as nodes of a mesh do, these are the particles in its plane. A force on
+    the facet then acts on the boundary only, and entirely on supports if these hold the boundary.
     """
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
     behind = members[ptr[:-1]]
@@ -390,9 +391,9 @@ def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, pt
 def _extent(
     cloud: Cloud, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, unit: Float, taken: Float
 ) -> tuple[Float, Float]:
-    """Return principal axes (n, dim, dim) of the particles of each facet, in columns, and 1 where they extend, else 0.
+    """Return principal axes (n, dim, dim) of the particles of each facet, in columns, and 1 for axes with extent.
 
-    The second is (n, dim).
+    The second array is (n, dim), 0 for axes without extent.
     """
     dim, n = cloud.dim, len(ptr) - 1
     around = (cloud.x[members] - cloud.x[members[ptr[:-1]][of]]) / unit

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.tiling import Cells
 from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
@@ -31,7 +32,7 @@ from pdpetsc.output.folder import FIELDS
 from pdpetsc.output.index import Index, Step, entries, part_of, remove, steps_in, storable
 from pdpetsc.output.observer import Observed, Observer
 from pdpetsc.output.progress import Report
-from pdpetsc.output.surface import write_surface
+from pdpetsc.output.surface import write_cells, write_surface
 from pdpetsc.post.solution import Field, Solution, in_space, rows_of_field
 from pdpetsc.solvers.protocol import Converged
 
@@ -44,7 +45,7 @@ class Fields(Observer):
     fields : sequence of Field
         At least one.
     particles : Particles
-        Their surface is written beside the fields.
+        Their surface and cells are written beside the fields.
     """
 
     def __init__(self, fields: Sequence[Field], particles: Particles) -> None:
@@ -57,11 +58,12 @@ class Fields(Observer):
             _evaluated(field, field, start)
 
     def begin(self, observed: Observed) -> None:
-        """Write the fields of the start, and the surface."""
+        """Write the fields of the start, the surface and the cells."""
         super().begin(observed)
         start, folder, run = observed.last, observed.folder, observed.run
         first = start.step if observed.in_own_folder else 0
-        self._writer = FieldWriter(start.cloud, observed.order, folder, self._fields, run, first)
+        cells = write_cells(observed.comm, folder, run, self._particles, start.cloud.n_global)
+        self._writer = FieldWriter(start.cloud, observed.order, folder, self._fields, run, first, cells)
         self._writer.write(start)
         write_surface(observed.comm, folder, run, self._particles)
 
@@ -97,6 +99,8 @@ class FieldWriter:
         Of which run the files are.
     first : int
         Steps of this run up to it that the folder holds are kept: a restart goes on in its own folder.
+    cells : Cells, optional
+        The cells in the folder, on rank 0.
 
     Attributes
     ----------
@@ -116,7 +120,8 @@ class FieldWriter:
     """
 
     def __init__(
-        self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field], run: str = "", first: int = 0
+        self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field], run: str = "",
+        first: int = 0, cells: Cells | None = None,
     ) -> None:  # fmt: skip
         self._cloud = cloud
         self._order = order
@@ -143,7 +148,7 @@ class FieldWriter:
             self._store(folder / FIELDS / "particles.h5", {name: storable(array) for name, array in values.items()})
         with agreed(cloud.comm):
             if is_root(cloud.comm):
-                self._index = Index(folder, cloud.n_global, [step for step in earlier if step.number <= first])
+                self._index = Index(folder, cloud.n_global, [step for step in earlier if step.number <= first], cells)
                 # The steps after the first will be computed again.
                 remove(folder, [step for step in earlier if step.number > first])
 

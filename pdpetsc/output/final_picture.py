@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import described
 from pdpetsc.output.folder import set_pictures_aside
-from pdpetsc.output.observer import Observed, Observer
+from pdpetsc.output.observer import Observed, Observer, StepRecords
 from pdpetsc.output.picture import draw_field
 from pdpetsc.output.progress import Report
 from pdpetsc.output.scene import component_of
@@ -35,6 +38,13 @@ class FinalPicture(Observer):
         super().begin(observed)
         if observed.in_own_folder:
             set_pictures_aside(observed.comm, observed.folder)
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return what the picture shows, for later pictures of the run."""
+        shown = self._picture
+        if shown is None:
+            return {}
+        return {"picture": {"field": shown.field.__name__, "component": shown.component, "scale": shown.scale}}
 
     def finish(self) -> None:
         """Draw the picture; the results stand if that fails."""

@@ -26,6 +26,8 @@ EARLIER = "earlier"
 FIELDS = "fields"
 # The surface of the particles in that folder, where their places alone do not tell it.
 SURFACE = "surface.h5"
+# The cells of the particles in that folder.
+CELLS = "cells.h5"
 # What plot and report leave in the folder of a run.
 DRAWN = ("deformed.png", "deformed.gif", "deformed.mp4", "history.png", "curve.png", "newton.png", "report.html")
 # How files begin that may have no mark.
@@ -271,7 +273,9 @@ def _of_earlier_run(folder: Path) -> list[Path]:
         raise CaseError(f"{folder / FIELDS} is not a folder, and fields would be written there; move it away.")
     if (folder / FIELDS).is_dir():
         inside = sorted((folder / FIELDS).iterdir())
-        paths += [path for path in inside if _STEP.fullmatch(path.name) or path.name in ("particles.h5", SURFACE)]
+        paths += [
+            path for path in inside if _STEP.fullmatch(path.name) or path.name in ("particles.h5", SURFACE, CELLS)
+        ]
     found = [path for path in paths if os.path.lexists(path)]
     for path in found:
         if path.is_symlink() or not path.is_file() or not _marked(path):

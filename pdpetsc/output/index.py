@@ -13,10 +13,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from pdpetsc.arrays import GlobalIndex
+from pdpetsc.declare.tiling import Cells
 from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole, writing_hdf5
-from pdpetsc.output.folder import FIELDS
+from pdpetsc.output.folder import CELLS, FIELDS
 
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
+# Numbers of XDMF for cells with other than polygonal faces, by their corners.
+_POLYHEDRA = {4: 6, 5: 7, 6: 8, 8: 9}
+_POLYLINE, _POLYGON = 2, 3
 _NUMBERS = {"f": "Float", "i": "Int", "u": "UInt"}
 _HEAD = """<?xml version="1.0"?>
 <Xdmf Version="3.0"><Domain>
@@ -68,6 +73,8 @@ class Index:
         Particles.
     steps : sequence of Step
         What is there already, in order.
+    cells : Cells, optional
+        The cells in ``fields/cells.h5``; without them ParaView shows points.
 
     Raises
     ------
@@ -75,16 +82,19 @@ class Index:
         A file cannot be written; both are as they were, or agree with the steps.
     """
 
-    def __init__(self, folder: Path, n: int, steps: Sequence[Step]) -> None:
+    def __init__(self, folder: Path, n: int, steps: Sequence[Step], cells: Cells | None = None) -> None:
         self._links = folder / "fields.h5"
         self._xdmf = folder / "fields.xdmf"
         self._n = n
         self._last = steps[-1].number if steps else -1
         self._flushed = time.monotonic()
         self._waiting = False
+        self._body, self._center = self._geometry(cells)
         self._grids = [self._grid(step) for step in steps]
         with replacing(self._links) as aside, writing_hdf5(aside, 0) as file:
             file["particles"] = h5py.ExternalLink(f"{FIELDS}/particles.h5", "/")
+            if cells is not None:
+                file["cells"] = h5py.ExternalLink(f"{FIELDS}/{CELLS}", "/")
             for step in steps:
                 file[step.group] = h5py.ExternalLink(step.file, "/")
         write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]))
@@ -116,33 +126,54 @@ class Index:
                     raise cannot_write(path, error) from error
             self._flushed, self._waiting = time.monotonic(), False
 
+    def _geometry(self, cells: Cells | None) -> tuple[str, str]:
+        """Return what ParaView reads of cells or, without any, of points, and whether values are of cells or nodes."""
+        places, center = self._item(Part("position", 3, "f8"), f"{FIELDS}/particles.h5", self._n), "Node"
+        shape = f'<Topology TopologyType="Polyvertex" NumberOfElements="{self._n}"/>'
+        # XDMF has no cells that share the values of a particle.
+        if cells is not None and (cells.particle is None or len(cells.particle) == self._n):
+            file = f"{FIELDS}/{CELLS}"
+            numbers = self._item(Part("topology", 1, "i8"), file, len(topology(cells)))
+            shape = f'<Topology TopologyType="Mixed" NumberOfElements="{len(cells.count)}">{numbers}</Topology>'
+            if cells.particle is not None:
+                places, center = self._item(Part("points", 3, "f8"), file, len(cells.points)), "Cell"
+        return f'{shape}\n<Geometry GeometryType="XYZ">{places}</Geometry>', center
+
     def _grid(self, step: Step) -> str:
         """Return what ParaView reads of a step."""
-        particles = f"{FIELDS}/particles.h5"
+        values = [(Part("volume", 1, "f8"), f"{FIELDS}/particles.h5")]
+        values += [(part, step.file) for part in sorted(step.parts, key=lambda part: part.name)]
         lines = [
             f'<Grid Name="step {step.number}" GridType="Uniform"><Time Value="{step.t!r}"/>',
-            f'<Topology TopologyType="Polyvertex" NumberOfElements="{self._n}"/>',
-            f'<Geometry GeometryType="XYZ">{self._item(Part("position", 3, "f8"), particles)}</Geometry>',
-            self._attribute(Part("volume", 1, "f8"), particles),
-            *(self._attribute(part, step.file) for part in sorted(step.parts, key=lambda part: part.name)),
+            self._body,
+            *(
+                f'<Attribute Name={quoteattr(part.name)} AttributeType="{_KINDS.get(part.width, "Matrix")}" '
+                f'Center="{self._center}">{self._item(part, file, self._n)}</Attribute>'
+                for part, file in values
+            ),
             "</Grid>\n",
         ]
         return "\n".join(lines)
 
-    def _attribute(self, part: Part, file: str) -> str:
-        kind = _KINDS.get(part.width, "Matrix")
-        return (
-            f'<Attribute Name={quoteattr(part.name)} AttributeType="{kind}" Center="Node">'
-            f"{self._item(part, file)}</Attribute>"
-        )
-
-    def _item(self, part: Part, file: str) -> str:
-        shape = f"{self._n} {part.width}" if part.width > 1 else f"{self._n}"
+    @staticmethod
+    def _item(part: Part, file: str, n: int) -> str:
+        shape = f"{n} {part.width}" if part.width > 1 else f"{n}"
         number, size = _NUMBERS[part.dtype[0]], int(part.dtype[1:])
         return (
             f'<DataItem Dimensions="{shape}" NumberType="{number}" Precision="{size}" Format="HDF">'
             f"{escape(f'{file}:/{part.name}')}</DataItem>"
         )
+
+
+def topology(cells: Cells) -> GlobalIndex:
+    """Return the cells as XDMF has them: number of the kind, of lines and polygons the number of corners, corners."""
+    dim, count = cells.points.shape[1], cells.count
+    if dim == 3:
+        kinds = np.zeros(max(_POLYHEDRA) + 1, dtype=np.int64)
+        kinds[list(_POLYHEDRA)] = list(_POLYHEDRA.values())
+        return np.insert(cells.corners, cells.offsets[:-1], kinds[count])
+    head = np.stack([np.full_like(count, _POLYLINE if dim == 1 else _POLYGON), count], axis=1)
+    return np.insert(cells.corners, np.repeat(cells.offsets[:-1], 2), head.ravel())
 
 
 def entries(dim: int) -> list[tuple[int, str]]:

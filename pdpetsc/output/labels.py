@@ -66,6 +66,10 @@ class Labels:
         """Return what stands at an axis of positions."""
         return self._with(letter, self._unit("length"))
 
+    def length(self, value: float) -> str:
+        """Return a length with its unit."""
+        return f"{value:.4g} {self._unit('length')}".strip()
+
     def first_of(self, dimension: str) -> str | None:
         """Return the first column of a kind; None where there is none."""
         return next((name for name, kind in self.history.items() if kind == dimension), None)

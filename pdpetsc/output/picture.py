@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import logging
 import os
@@ -99,8 +100,8 @@ def draw_film(
     kind = path.suffix
     if kind not in (".gif", ".mp4"):
         raise CaseError(f"A film is a .gif or an .mp4, not {path.name}.")
-    if kind == ".mp4":
-        _refuse_without_ffmpeg()
+    if kind == ".mp4" and film_format() != "mp4":
+        raise CaseError("An .mp4 is written by the program ffmpeg, which is not installed; take format=gif.")
     steps = StoredFields(folder).steps
     chosen = steps[:: max(1, -(-len(steps) // FRAMES))]
     if chosen[-1] != steps[-1]:
@@ -128,11 +129,11 @@ def _gif(frames: list[Path], path: Path) -> None:
         )
 
 
-def _refuse_without_ffmpeg() -> None:
+def film_format() -> str:
+    """Return the format of films: mp4 if ffmpeg is installed, else gif."""
     from matplotlib.animation import FFMpegWriter
 
-    if not FFMpegWriter.isAvailable():
-        raise CaseError("An .mp4 is written by the program ffmpeg, which is not installed; take format=gif.")
+    return "mp4" if FFMpegWriter.isAvailable() else "gif"
 
 
 def _mp4(frames: list[Path], path: Path) -> None:
@@ -181,7 +182,7 @@ def _draw_scene(scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | 
 
 def _framed(scene: Scene, box: tuple[Float, Float] | None) -> tuple[Float, Float]:
     """Return the corners of the picture: those of the body, with a margin, and room for the circle of the horizon."""
-    low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else (box[0].copy(), box[1].copy())
+    low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
     margin = _margin(scene, low, high)
     low, high = low - margin, high + margin
     if scene.dim == 2 and scene.horizon:
@@ -190,7 +191,7 @@ def _framed(scene: Scene, box: tuple[Float, Float] | None) -> tuple[Float, Float
 
 
 def _margin(scene: Scene, low: Float, high: Float) -> float:
-    return max(0.75 * float(np.max(scene.size)), 0.02 * float((high - low).max()))
+    return max(1.2 * scene.margin, 0.02 * float((high - low).max()))
 
 
 def _size(low: Float, high: Float, dim: int) -> tuple[float, float]:
@@ -223,10 +224,10 @@ def _curve(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
 def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    cells = scene.y[:, None, :2] + np.einsum("nij,ncj->nci", scene.F, _outlines(scene))
     drawn = PolyCollection(
-        cells, array=scene.values, cmap="viridis", edgecolors="face", linewidths=0.4, rasterized=True
-    )
+        _polygons(scene), array=scene.values[scene.cells.owner], cmap="viridis", edgecolors="face", linewidths=0.7,
+        rasterized=True,
+    )  # fmt: skip
     drawn.set_clim(*scene.limits)
     axes.add_collection(drawn, autolim=False)
     if len(scene.cracks):
@@ -239,15 +240,10 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
         _horizon(axes, scene, low, high)
 
 
-def _outlines(scene: Scene) -> Float:
-    """Return the outline of each particle before it is deformed, about its middle (n, corners, 2) [length]."""
-    if scene.steps is not None:
-        # A hundredth larger, so that no seams show between cells.
-        square = 0.505 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-        return np.asarray(np.broadcast_to(square * scene.steps, (len(scene.y), 4, 2)))
-    angle = np.linspace(0.0, 2.0 * np.pi, 24 if len(scene.y) < 20_000 else 12, endpoint=False)
-    # A little more than the volume of the particle, so that fewer gaps show.
-    return np.asarray(0.575 * scene.size[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+def _polygons(scene: Scene) -> list[Float]:
+    """Return the corners (m, dim) of each drawn cell."""
+    cells = scene.cells
+    return np.split(cells.points[cells.corners], cells.offsets[1:-1])
 
 
 def _horizon(axes: Any, scene: Scene, low: Float, high: Float) -> None:
@@ -259,12 +255,7 @@ def _horizon(axes: Any, scene: Scene, low: Float, high: Float) -> None:
     centre = float(low[0]) + margin + radius, float(low[1]) + 0.5 * margin + radius
     axes.add_patch(Circle(centre, radius, fill=False, color="black", linewidth=1.0))
     axes.plot(*centre, ".", color="black", markersize=2)
-    axes.text(centre[0] + 1.2 * radius, centre[1], f" horizon {_number(radius, scene)}", va="center", fontsize=9)
-
-
-def _number(length: float, scene: Scene) -> str:
-    unit = "" if scene.labels.units is None else f" {scene.labels.units.length}"
-    return f"{length:.4g}{unit}"
+    axes.text(centre[0] + 1.2 * radius, centre[1], f" horizon {scene.labels.length(radius)}", va="center", fontsize=9)
 
 
 def _scale_of_colours(figure: Any, axes: Any, drawn: Any, scene: Scene) -> None:
@@ -278,14 +269,16 @@ def _scale_of_colours(figure: Any, axes: Any, drawn: Any, scene: Scene) -> None:
 
 
 def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> None:
-    shown = ~scene.inside if (~scene.inside).any() else np.ones(len(scene.y), dtype=bool)
-    y = scene.y[shown]
+    Poly3DCollection: Any = importlib.import_module("mpl_toolkits.mplot3d.art3d").Poly3DCollection
+
     extent = np.maximum(high - low, 1e-3 * float((high - low).max()))
-    # Points per length, of a figure that is about half filled.
-    area = (0.5 * 72.0 * 9.0 / float(extent.max()) * scene.size[shown]) ** 2
-    drawn = axes.scatter(*y.T, c=scene.values[shown], s=np.maximum(area, 0.3), cmap="viridis", linewidths=0, alpha=1.0)
+    drawn = Poly3DCollection(_polygons(scene), cmap="viridis", linewidths=0.2)
+    drawn.set_array(scene.values[scene.cells.owner])
+    axes.add_collection3d(drawn)
+    drawn.set_edgecolor("face")
+    axes.set(**{f"{letter}lim": ends for letter, *ends in zip("xyz", low, high, strict=True)})
     drawn.set_clim(*scene.limits)
-    axes.set_box_aspect(extent, zoom=1.2)
+    axes.set_box_aspect(extent, zoom=0.9)
     axes.set(**{f"{letter}label": scene.labels.axis(letter) for letter in "xyz"})
     for axis, share in zip("xyz", extent / extent.max(), strict=True):
         axes.locator_params(axis=axis, nbins=max(1, round(6 * share)))
@@ -295,7 +288,7 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
 def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple[Float, Float] | None) -> bool:
     """Draw solid bodies with PyVista, if it is there and works without a display; return whether it did."""
     if importlib.util.find_spec("pyvista") is None:
-        LOG.info("PyVista is not installed: the solid body is drawn as points (pip install pyvista)")
+        LOG.info("PyVista is not installed: the solid body is drawn by Matplotlib (pip install pyvista)")
         return False
     # Of MPI's variables the other process must not know: it would take itself for a rank.
     of_mpi = ("OMPI_", "PMI_", "PMIX_", "MPI_", "HYDRA_", "PRTE_")
@@ -320,20 +313,20 @@ def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple
             for target, path in zip(targets, paths, strict=True):
                 _mark(target, path)
             return True
-    LOG.warning("PyVista cannot draw here (%s): the solid body is drawn as points", why)
+    LOG.warning("PyVista cannot draw here (%s): the solid body is drawn by Matplotlib", why)
     return False
 
 
 def _hand_over(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> None:
-    """Write what the other process draws; of a lattice only the cells that may be seen."""
-    margin = 0.5 * float(np.max(scene.size))
+    """Write what the other process draws."""
     low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
-    shown = ~scene.inside if scene.steps is not None else np.ones(len(scene.y), dtype=bool)
+    cells = scene.cells
+    # Polygons as VTK has them: each after its number of corners.
+    polygons = np.insert(cells.corners, cells.offsets[:-1], cells.count)
     np.savez(
-        path, y=scene.y[shown], values=scene.values[shown], size=scene.size[shown], F=scene.F[shown],
-        steps=np.empty(0) if scene.steps is None else scene.steps, limits=np.array(scene.limits),
-        label=scene.label, title=scene.title, horizon=scene.horizon or 0.0,
-        box=np.array([low - margin, high + margin]), axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
+        path, points=cells.points, polygons=polygons, values=scene.values[cells.owner], limits=np.array(scene.limits),
+        label=scene.label, title=scene.title, box=np.array([low - scene.margin, high + scene.margin]),
+        axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ _OF_SUMMARY: dict[str, Any] = {
     "loads": _ROWS, "timings": Mapping[str, float], "peak_memory_bytes": Sequence[float], "parameters": _TABLE,
     "versions": _TABLE, "options": _TABLE, "scheme": _TABLE, "control": _TABLE, "unbalanced": _TABLE, "pieces": _TABLE,
     "fracture_energy": _TABLE, "case": _TABLE, "restart": _TABLE, "unused_options": Sequence[str],
-    "warnings": Sequence[str],
+    "warnings": Sequence[str], "picture": _TABLE,
 }  # fmt: skip
 
 

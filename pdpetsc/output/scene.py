@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+import importlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float, Mask
-from pdpetsc.declare.cracks import Polyline
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.cracks import Crack, crack_of
+from pdpetsc.declare.particles import cells_of
+from pdpetsc.declare.tiling import Cells, boxes
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.reading import StoredFields, read_history, read_summary, read_table
-from pdpetsc.post.point_location import LARGEST, Held, apart
+from pdpetsc.output.surface import read_cells
+from pdpetsc.post.point_location import Held
 
-Near: TypeAlias = tuple[Float, Mask]
 # Particles drawn at most; of a larger cloud every n-th.
 MOST = 200_000
 # Values beyond these shares of the particles do not widen the scale of colours [%].
 SHOWN = (0.5, 99.5)
 # Fits of the deformation about a particle, and what a neighbour may move otherwise than it says, over the spacing.
-FITS, TORN = 4, 0.1
-# A face between two cells longer than so many spacings has no end in the body.
-LONGEST_FACE = 3.0
+FITS, TORN = 5, 0.1
+# Local damage from which a particle carries no stress any more [-].
+LOOSE = 0.999
 # How well the length of a bond is that between two particles [-]; to the image of one it is quite another.
 OWN = 1e-6
 
@@ -39,27 +41,23 @@ class Scene:
     Attributes
     ----------
     x, y : (n, 3) float64
-        Places in the undeformed body and where they are drawn [length].
+        Positions in the undeformed body, and the positions at which the particles are drawn [length].
     values : (n,) float64
-        What colours them.
+        Values that the colours show.
     dim : int
-        Dimension of the body.
-    steps : (dim,) float64 or None
-        Sides of the cells of a lattice [length]; None for other clouds.
-    size : (n,) float64
-        How large each particle is drawn: the side of a square or cube of its volume [length].
-    F : (n, dim, dim) float64
-        How the drawn body is deformed about each particle [-].
-    inside : (n,) bool
-        Which particles have all neighbours of a lattice, or of another cloud any number, and no broken bond.
+        Dimension of the picture: 1 for a curve, 2 or 3 for cells.
+    cells : Cells
+        Deformed cells of a plane body, in the plane, or the surface of those of a solid body with the faces of cracks.
+    margin : float
+        How far the largest cell extends from its particle [length].
     horizon : float or None
-        Of the run [length]; None where it is not told.
+        Horizon of the run [length]; None if it is not recorded.
     cracks : (m, 2, 2) float64
-        Both faces of cracks of a plane body, as segments where they are drawn [length].
+        Both faces of cracks of a plane body, as segments at their deformed positions [length].
     label, title : str
-        What the values are, and what stands above the picture.
+        Names of the values and of the picture.
     labels : Labels
-        Of the run.
+        Labels of the run.
     limits : (float, float)
         Ends of the scale of colours.
     """
@@ -68,10 +66,8 @@ class Scene:
     y: Float
     values: Float
     dim: int
-    steps: Float | None
-    size: Float
-    F: Float
-    inside: Mask
+    cells: Cells
+    margin: float
     horizon: float | None
     cracks: Float
     label: str
@@ -100,37 +96,150 @@ def scene_of(
     labels = Labels.of(summary)
     stride = _stride(stored)
     x = stored.of_particles("position", stride)
-    u = stored.field("displacement", step, stride)
+    u = scale * stored.field("displacement", step, stride)
     values = component_of(stored.field(name, step, stride), component)
-    dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
+    body = _body_of(folder, stored, summary, step, scale, stride)
+    dim = body.moved.points.shape[1]
     shown = stored.steps[-1] if step is None else step
     label = labels.field(name, component)
     enlarged = "" if scale == 1.0 else f", displacements \N{MULTIPLICATION SIGN} {scale:g}"
     words = f"{title}: {label}\nstep {shown}, {_load(folder, shown, stored.time(shown), labels)}{enlarged}"
-    horizon = summary.get("horizon")
-    whole = stride == 1
-    broken = broken_pairs(folder, shown, x) if whole else np.empty((0, 2), dtype=np.int64)
-    given = summary.get("cracks") if dim == 2 else None
-    lines = [line for line in given if len(line) > 1] if isinstance(given, list) else []
-    if not whole:
+    horizon = float(summary["horizon"]) if isinstance(summary.get("horizon"), int | float) else None
+    if dim == 3 and horizon:
+        words += f", horizon {labels.length(horizon)}"
+    if stride > 1:
         words += f", 1 particle in {stride} shown"
-        if lines or (dim == 2 and (folder / "broken_bonds.csv").exists()):
+        if summary.get("cuts") or summary.get("cracks") or (folder / "broken_bonds.csv").exists():
             words += ", cracks not drawn"
-        lines = []
-    axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0) if len(x) > 1 else np.array([0])
-    F, inside = about(x[:, axes], scale * u[:, axes], broken, lines)
-    cracks = faces_between(x[:, :2], scale * u[:, :2], broken, lines) if dim == 2 else np.empty((0, 2, 2))
-    # A body of one layer has more dimensions than its picture.
-    of_body = int(summary.get("dimension") or dim)
-    depth = float(summary.get("thickness") or 1.0) if of_body < 3 else 1.0
-    side = (stored.of_particles("volume", stride) / depth) ** (1.0 / of_body)
-    # Where only some particles are drawn, each stands for several.
-    side *= stride ** (1.0 / dim)
     return Scene(
-        x, x + scale * u, values, dim, lattice_steps(x[:, axes]), sizes(x[:, axes], side), F, inside,
-        float(horizon) if isinstance(horizon, int | float) else None,
-        cracks, label, words, labels, limits or limits_of(values),
+        x, x + u, values, 1 if (np.ptp(x, axis=0) > 0.0).sum() < 2 else dim,
+        body.moved.surface if dim == 3 else body.moved, body.margin, horizon, body.cracks, label, words, labels,
+        limits or limits_of(values),
     )  # fmt: skip
+
+
+def grid_of(folder: Path, step: int | None = None) -> Any:
+    """Return the cells of a run as a PyVista grid in the undeformed body, with all fields of a step (one rank only).
+
+    Fields are data of cells. ``displacement`` is also data of the corners, so that ``warp_by_vector("displacement")``
+    opens cracks.
+
+    Raises
+    ------
+    CaseError
+        There is no such run or step.
+    ImportError
+        PyVista is not installed.
+    """
+    pyvista = importlib.import_module("pyvista")
+    stored = StoredFields(folder)
+    summary = read_summary(folder) if (folder / "summary.json").exists() else {}
+    body = _body_of(folder, stored, summary, step, 1.0, 1)
+    moved, (m, dim) = body.moved, body.moved.points.shape
+    kinds = {1: lambda n: 3, 2: lambda n: 7, 3: {4: 10, 5: 14, 6: 13, 8: 12}.__getitem__}[dim]
+    x, u = np.zeros((m, 3)), np.zeros((m, 3))
+    x[moved.corners, :dim] = body.cells.points[body.cells.corners]
+    u[:, :dim] = moved.points - x[:, :dim]
+    grid = pyvista.UnstructuredGrid(
+        np.insert(moved.corners, moved.offsets[:-1], moved.count), [kinds(n) for n in moved.count.tolist()], x
+    )
+    for name in stored.names(step):
+        values = stored.field(name, step)[moved.owner]
+        grid.cell_data[name] = values.reshape(len(values), -1) if values.ndim > 1 else values
+    grid.point_data["displacement"] = u
+    return grid
+
+
+@dataclass(frozen=True)
+class _Body:
+    """The cells of a body at a step.
+
+    Attributes
+    ----------
+    cells, moved : Cells
+        Undeformed and deformed cells, each of one particle.
+    cracks : (m, 2, 2) float64
+        As in ``Scene``.
+    margin : float
+        How far the largest cell extends from its particle [length].
+    """
+
+    cells: Cells
+    moved: Cells
+    cracks: Float
+    margin: float
+
+
+def _body_of(
+    folder: Path, stored: StoredFields, summary: Mapping[str, Any], step: int | None, scale: float, stride: int
+) -> _Body:
+    """Return the cells of the particles of a run at a step; boxes of volumes if only every n-th particle is drawn.
+
+    Runs of earlier versions have no file of cells: cells follow from positions and volumes.
+    """
+    position, volume = (stored.of_particles(name, stride) for name in ("position", "volume"))
+    cells = read_cells(folder, stored.run) if stride == 1 else None
+    extent = max(1, int((np.ptp(position, axis=0) > 0.0).sum()))
+    dim = int(summary.get("dimension") or extent) if cells is None else cells.points.shape[1]
+    x, u = position[:, :dim], scale * stored.field("displacement", step, stride)[:, :dim]
+    depth = float(summary.get("thickness") or 1.0) if dim < 3 else 1.0
+    if stride > 1:
+        cells, held = boxes(x, (stride * volume / depth) ** (1.0 / dim)), Held(x)
+    else:
+        cells = (cells or cells_of(x, volume, depth)).own
+        held = Held(x, _cracks(summary), broken_pairs(folder, stored.steps[-1] if step is None else step, position))
+    damaged = "local_damage" in stored.names(step)
+    loose = stored.field("local_damage", step, stride) >= LOOSE if damaged else np.zeros(len(x), dtype=bool)
+    reach = cells.points[cells.corners] - x[np.repeat(cells.owner, cells.count)]
+    return _Body(cells, *deformed(cells, x, u, held, loose), float(np.linalg.norm(reach, axis=1).max()))
+
+
+def _cracks(summary: Mapping[str, Any]) -> list[Crack]:
+    """Return the cracks that a case has from the start; earlier versions recorded lines only."""
+    lines = [{"kind": "Polyline", "points": line} for line in summary.get("cracks") or [] if len(line) > 1]
+    found = [crack_of(record) for record in summary.get("cuts") or lines]
+    return [crack for crack in found if crack is not None]
+
+
+def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple[Cells, Float]:
+    """Return the cells moved with their particles, and both faces of the cracks between them.
+
+    Cells come apart if their particles do not hold together, or if both particles are loose.
+
+    Parameters
+    ----------
+    cells : Cells
+        Undeformed cells, each of one particle.
+    x, u : (n, dim) float64
+        Positions and displacements of the particles [length].
+    held : Held
+        Cracks and broken bonds.
+    loose : (n,) bool
+        Particles that carry no stress any more.
+
+    Returns
+    -------
+    Cells
+        The same cells, with more points along open cracks.
+    (m, 2, 2) float64
+        The faces as segments [length], of a plane body; none of other bodies.
+    """
+    F = gradients(x, u, held)
+
+    def carried(particle: GlobalIndex, points: Float) -> Float:
+        away = points - x[particle]
+        return np.asarray(x[particle] + u[particle] + np.einsum("nij,nj->ni", F[particle], away))
+
+    a, b = cells.faces.shared
+    p, q = (cells.owner[cells.faces.cell[side]] for side in (a, b))
+    broken = p != q
+    broken[broken] = ~held.together(p[broken], q[broken, None])[:, 0]
+    joined = ~broken & ~((p != q) & loose[p] & loose[q])
+    moved = cells.moved(carried, (a[joined], b[joined]))
+    if x.shape[1] != 2:
+        return moved, np.empty((0, 2, 2))
+    edges = cells.faces.turn[np.concatenate([a[broken], b[broken]]), :2]
+    return moved, np.asarray(moved.points[moved.corners[edges]])
 
 
 def frame_of(
@@ -155,8 +264,7 @@ def frame_of(
         y = x + scale * stored.field("displacement", step, stride)
         lows.append(y.min(axis=0))
         highs.append(y.max(axis=0))
-    limits = float(np.min(ends)), float(np.max(ends))
-    return limits, (np.min(lows, axis=0), np.max(highs, axis=0))
+    return _without_round_off(float(np.min(ends)), float(np.max(ends))), (np.min(lows, axis=0), np.max(highs, axis=0))
 
 
 def _stride(stored: StoredFields) -> int:
@@ -174,7 +282,13 @@ def limits_of(values: Float) -> tuple[float, float]:
     if high - low <= 1e-9 * largest:
         # Round-off is no pattern.
         return low - 0.05 * abs(low), high + 0.05 * abs(high)
-    return low, high
+    return _without_round_off(low, high, largest)
+
+
+def _without_round_off(low: float, high: float, largest: float = 0.0) -> tuple[float, float]:
+    """Return the ends of a scale, with 0 for an end that is round-off relative to the other or the largest value."""
+    least = 1e-9 * max(abs(low), abs(high), largest)
+    return (0.0 if abs(low) <= least else low), (0.0 if abs(high) <= least else high)
 
 
 def _load(folder: Path, step: int, t: float, labels: Labels) -> str:
@@ -204,88 +318,39 @@ def component_of(values: Float, name: str) -> Float:
     return values
 
 
-def spacings(x: Float) -> Float:
-    """Return the mean distance of each particle from those next to it (n,) [length]."""
-    if len(x) < 2:
-        return np.ones(len(x))
-    beside = 2 * max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
-    distance = scipy.spatial.cKDTree(x).query(x, k=min(1 + beside, len(x)))[0][:, 1:]
-    # At a corner of a lattice some of them are farther.
-    near = np.where(distance < 1.3 * distance[:, :1], distance, np.nan)
-    return np.asarray(np.nanmean(near, axis=1))
-
-
-def sizes(x: Float, side: Float) -> Float:
-    """Return how large particles at places (n, dim) are drawn (n,) [length]: the sides of cubes of their volumes.
-
-    These are kept between a half and one and a half times the mean distance from what is next to a particle, so that
-    volumes that are no share of the body, as with another thickness than the case says, are drawn all the same.
-    """
-    if len(x) < 2:
-        return np.ones(len(x))
-    distance = apart(x)
-    return np.asarray(np.clip(side, 0.5 * distance, LARGEST * distance))
-
-
-def lattice_steps(x: Float) -> Float | None:
-    """Return the sides of the cells of a lattice along the axes (dim,) [length], from places (n, dim) in it.
-
-    None where the places are of no lattice, or of a line.
-    """
-    if x.shape[1] < 2:
-        return None
-    sides = []
-    for along in x.T:
-        places = np.unique(np.round(along / np.ptp(along), 9))
-        gaps = np.diff(places)
-        if not len(gaps) or not np.allclose(gaps / gaps.min(), np.round(gaps / gaps.min()), atol=1e-3):
-            return None
-        sides.append(gaps.min() * np.ptp(along))
-    steps = np.array(sides)
-    # A cloud in which no two particles share a coordinate is a lattice of holes.
-    filled = len(x) / np.prod(np.round(np.ptp(x, axis=0) / steps) + 1.0)
-    return steps if filled > 0.2 and steps.max() < 3.0 * steps.min() else None
-
-
-def about(x: Float, u: Float, broken: NDArray[np.int64], lines: Sequence[Sequence[Sequence[float]]]) -> Near:
-    """Return how a body is deformed about each particle, and which particles are inside of it.
-
-    The gradient is that of a linear fit to the nearest particles whose bond is not broken.
+def gradients(x: Float, u: Float, held: Held) -> Float:
+    """Return the deformation gradients (n, dim, dim) of a linear fit to the nearest particles that hold together.
 
     Parameters
     ----------
     x, u : (n, dim) float64
-        Places and displacements [length].
-    broken : (n, 2) int64
-        Pairs of particles whose bonds are broken.
-    lines : sequence of polylines
-        Cracks of a plane body from the start.
+        Positions and displacements [length].
     """
     n, dim = x.shape
     F = np.tile(np.eye(dim), (n, 1, 1))
-    most = min(n, {1: 3, 2: 9, 3: 19}[dim])
+    # A body of one layer is fitted within the layer.
+    axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0)
+    most = min(n, {0: 1, 1: 3, 2: 9, 3: 19}[len(axes)])
     if most < 2:
-        return F, np.zeros(n, dtype=bool)
+        return F
     distance, near = scipy.spatial.cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
-    cracks = [Polyline(line) for line in lines] if dim == 2 else []
-    held = Held(x, cracks, broken).together(np.arange(n), near)
+    together = held.together(np.arange(n), near)
     nearest = np.maximum(distance[:, :1], np.finfo(float).tiny)
-    weight = np.where(held, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
-    xi, eta = (x[near] - x[:, None]) / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None]
-    seen = weight
+    weight = np.where(together, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
+    xi, eta = ((x[near] - x[:, None])[..., axes] / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None])
+    slope = np.zeros((n, dim, len(axes)))
     for _ in range(FITS):
+        # A neighbour that moves otherwise than the others is beyond a crack that is not recorded.
+        apart = np.linalg.norm(eta - np.einsum("nij,nkj->nki", slope, xi), axis=2)
+        seen = weight / (1.0 + (apart / TORN) ** 2)
         moments = np.einsum("nk,nki,nkj->nij", seen, xi, xi)
         good = np.linalg.cond(moments) < 1e4
-        slope = np.einsum("nk,nki,nkj->nij", seen, eta, xi)[good] @ np.linalg.inv(moments[good])
-        F[good] = np.eye(dim) + slope
-        # What does not move as the others do is on the other side of a crack that nobody has told of.
-        apart = np.linalg.norm(eta - np.einsum("nij,nkj->nki", F - np.eye(dim), xi), axis=2)
-        seen = weight / (1.0 + (apart / TORN) ** 2)
+        slope[good] = np.einsum("nk,nki,nkj->nij", seen, eta, xi)[good] @ np.linalg.inv(moments[good])
+    F[:, :, axes] += slope
     # A fit may make no sense where pieces fly apart; cells are then drawn as they were.
     F[(np.abs(F) > 5.0).any(axis=(1, 2))] = np.eye(dim)
-    inside = ((distance < 1.2 * nearest) & held).sum(axis=1) >= 2 * dim
-    return F, inside & (held & (apart < 3.0 * TORN)).all(axis=1)
+    return F
 
 
 def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
@@ -309,63 +374,3 @@ def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
     found, lengths = found[known], lengths[known]
     apart = np.linalg.norm(x[found[:, 0]] - x[found[:, 1]], axis=1)
     return np.asarray(found[np.abs(lengths - apart) <= OWN * lengths])
-
-
-def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[list[list[float]]]) -> Float:
-    """Return both faces of the cracks of a plane body, moved with the particles on either side.
-
-    A face is that between the cells of neighbouring particles, in the sense of Voronoi, whose bond is broken or runs
-    across a line that cuts from the start.
-
-    Parameters
-    ----------
-    x, u : (n, 2) float64
-        Places and displacements of the particles [length].
-    broken : (n, 2) int64
-        Pairs of particles whose bonds are broken.
-    lines : list of polylines
-        Cracks from the start, each as points in the plane [length].
-
-    Returns
-    -------
-    (m, 2, 2) float64
-        Segments.
-    """
-    none = np.empty((0, 2, 2))
-    lines = [line for line in lines if len(line) > 1 and all(len(point) == 2 for point in line)]
-    broken = broken[(broken < len(x)).all(axis=1)]
-    if len(x) < 4 or not (len(broken) or lines):
-        return none
-    spacing = spacings(x)
-    near = np.unique(broken)
-    if lines:
-        low, high = (bound(np.array([p for line in lines for p in line]), axis=0) for bound in (np.min, np.max))
-        beside = 4.0 * spacing[:, None]
-        near = np.union1d(near, np.flatnonzero(((x > low - beside) & (x < high + beside)).all(axis=1)))
-    if not len(near):
-        return none
-    # Where the size of particles changes the larger ones reach farther.
-    widest = float(spacing[near].max())
-    zone = np.flatnonzero(scipy.spatial.cKDTree(x[near]).query(x, distance_upper_bound=4.0 * widest)[0] < math.inf)
-    try:
-        diagram = scipy.spatial.Voronoi((x[zone] - x[zone].mean(axis=0)) / widest)
-    except (scipy.spatial.QhullError, ValueError):
-        return none
-    pairs = np.sort(zone[diagram.ridge_points], axis=1)
-    ends = np.array(diagram.ridge_vertices, dtype=np.int64)
-    gone = np.isin(pairs @ [len(x), 1], np.sort(broken, axis=1) @ [len(x), 1])
-    for line in lines:
-        gone |= Polyline(line).cuts(x[pairs[:, 0]], x[pairs[:, 1]])
-    gone &= (ends >= 0).any(axis=1)
-    pairs, ends = pairs[gone], ends[gone]
-    corners = diagram.vertices[ends] * widest + x[zone].mean(axis=0)
-    # Between cells at the surface a face has one end; it is taken to be as long on the other side of its middle.
-    middle = x[pairs].mean(axis=1)
-    for side in (0, 1):
-        open_ended = ends[:, side] < 0
-        corners[open_ended, side] = (2.0 * middle - corners[:, 1 - side])[open_ended]
-    longest = LONGEST_FACE * spacing[pairs].max(axis=1)
-    long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
-    far = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) > longest
-    pairs, corners = pairs[~(long | far)], corners[~(long | far)]
-    return np.concatenate([corners + u[pairs[:, side]][:, None] for side in (0, 1)])

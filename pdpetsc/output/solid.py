@@ -12,12 +12,8 @@ from typing import Any
 
 import numpy as np
 
-# Corners of a cell and their order in VTK.
-_CORNERS = np.array(
-    [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
-)
-# More spheres than this are drawn as splats.
-SPHERES = 30_000
+# Edges of more faces than this are not drawn.
+EDGES = 12_000
 
 
 def main(source: str, target: str) -> None:
@@ -39,40 +35,13 @@ def main(source: str, target: str) -> None:
         "diffuse": 0.25,
         "specular": 0.0,
     }
-    y, values, size = scene["y"], scene["values"], scene["size"]
-    if scene["steps"].size:
-        half = 0.5 * scene["steps"] * _CORNERS
-        corners = y[:, None] + np.einsum("nij,cj->nci", scene["F"], half)
-        n = len(corners)
-        cells = np.column_stack([np.full(n, 8), np.arange(8 * n).reshape(n, 8)]).ravel()
-        body = pyvista.UnstructuredGrid(cells, np.full(n, 12, dtype=np.uint8), corners.reshape(-1, 3))
-        body.cell_data["values"] = values
-        edges = n < 6000
-        plotter.add_mesh(body, show_edges=edges, edge_color="grey", line_width=0.5, **look)
-    else:
-        body = pyvista.PolyData(y)
-        body["values"], body["size"] = values, size
-        if len(y) <= SPHERES:
-            ball = pyvista.Sphere(radius=0.5, theta_resolution=10, phi_resolution=10)
-            plotter.add_mesh(body.glyph(scale="size", orient=False, geom=ball), smooth_shading=True, **look)
-        else:
-            actor = plotter.add_mesh(body, style="points_gaussian", render_points_as_spheres=True, **look)
-            actor.mapper.SetScaleArray("size")
-            actor.mapper.scale_factor = 0.5
+    body = pyvista.PolyData(scene["points"], faces=scene["polygons"])
+    body.cell_data["values"] = scene["values"]
+    plotter.add_mesh(body, show_edges=body.n_cells < EDGES, edge_color="grey", line_width=0.5, **look)
     box = scene["box"]
     # Round numbers at the ends of the axes.
     tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0
     bounds = (tick * np.array([np.floor(box[0] / tick + 1e-6), np.ceil(box[1] / tick - 1e-6)])).T.ravel().tolist()
-    horizon = float(scene["horizon"])
-    if horizon > 0.0:
-        # To scale, above the corner on the left.
-        away = 1.2 * horizon + 0.06 * float(np.linalg.norm(box[1] - box[0]))
-        at = np.array([box[0, 0], box[0, 1], box[1, 2] + away])
-        plotter.add_mesh(pyvista.Sphere(radius=horizon, center=at), color="tomato", opacity=0.6)
-        plotter.add_point_labels(
-            at[None] + [[1.2 * horizon, 0.0, 0.0]], ["horizon"], show_points=False, shape=None, font_size=18,
-            text_color="black", always_visible=True,
-        )  # fmt: skip
     plotter.add_text(str(scene["title"]), position="upper_left", font_size=13, color="black")
     # Last: whatever is added after them moves the axes.
     letters = {f"{letter}title": str(text) for letter, text in zip("xyz", scene["axes"], strict=True)}

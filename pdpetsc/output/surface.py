@@ -1,19 +1,27 @@
-"""``fields/surface.h5``: the facets of the body, which tell what is inside of it where places of particles do not."""
+"""``fields/surface.h5`` and ``fields/cells.h5``: facets of the body and cells of its particles."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.tiling import Cells
 from pdpetsc.discrete.communicator import Comm, agreed, is_root, smallest
 from pdpetsc.errors import CaseError
 from pdpetsc.output.checkpoint import HEAD, seal, whole
 from pdpetsc.output.files import HEADERS, WRITE_ERRORS, cannot_write, open_hdf5, replacing, writing_hdf5
-from pdpetsc.output.folder import FIELDS, SURFACE
+from pdpetsc.output.folder import CELLS, FIELDS, SURFACE
+from pdpetsc.output.index import storable, topology
 from pdpetsc.post.point_location import Facets
+
+# Cells of larger bodies are not written: one rank makes them.
+MOST_CELLS = 1_000_000
 
 
 def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> None:
@@ -40,22 +48,75 @@ def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> N
         if is_root(comm) and parts is not None:
             names = ("position", "area", "triangles")
             arrays = {name: np.concatenate([part[n] for part in parts]) for n, name in enumerate(names)}
-            path = folder / FIELDS / SURFACE
-            size = sum(array.nbytes for array in arrays.values()) + 4 * HEADERS
-            try:
-                with replacing(path) as aside:
-                    with writing_hdf5(aside, size, userblock_size=HEAD) as file:
-                        file.attrs["run"] = run
-                        for name, array in arrays.items():
-                            file.create_dataset(name, data=array)
-                    seal(aside)
-            except WRITE_ERRORS as error:
-                raise cannot_write(path, error) from error
+            _write(folder / FIELDS / SURFACE, run, arrays)
+
+
+def write_cells(comm: Comm, folder: Path, run: str, particles: Particles, n: int) -> Cells | None:
+    """Write the cells of ``n`` particles, and return them on rank 0; None for too large a body (collective).
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, on all ranks.
+    """
+    cells: Cells | None = None
+    with agreed(comm):
+        if is_root(comm) and n <= MOST_CELLS:
+            cells = particles.cells()
+            arrays = {"points": storable(cells.points), "corners": cells.corners, "offsets": cells.offsets}
+            arrays |= {"dim": np.array(cells.points.shape[1]), "topology": topology(cells)}
+            if cells.particle is not None:
+                arrays["particle"] = cells.particle
+            _write(folder / FIELDS / CELLS, run, arrays)
+    return cells
+
+
+def _write(path: Path, run: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    size = sum(array.nbytes for array in arrays.values()) + (1 + len(arrays)) * HEADERS
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with replacing(path) as aside:
+            with writing_hdf5(aside, size, userblock_size=HEAD) as file:
+                file.attrs["run"] = run
+                for name, array in arrays.items():
+                    file.create_dataset(name, data=array)
+            seal(aside)
+    except WRITE_ERRORS as error:
+        raise cannot_write(path, error) from error
 
 
 def read_surface(folder: Path, run: str | None) -> Facets | None:
-    """Return the surface that a run wrote; None without any, raises CaseError where the file is damaged."""
+    """Return the surface that a run wrote; None without any, raises CaseError if the file is damaged."""
     path = folder / FIELDS / SURFACE
+    arrays = _read(path, run)
+    if arrays is None:
+        return None
+    x, area, triangles = (arrays.get(name, np.empty(0)) for name in ("position", "area", "triangles"))
+    shaped = x.ndim == 2 and x.shape[1] in (1, 2, 3) and area.shape == x.shape and triangles.shape[1:] == (3, 3)
+    if not (shaped and all(np.isfinite(array).all() for array in (x, area, triangles))):
+        raise _damaged(path, "it holds no facets")
+    return Facets(x, area, triangles)
+
+
+def read_cells(folder: Path, run: str | None) -> Cells | None:
+    """Return the cells that a run wrote; None without any, raises CaseError if the file is damaged."""
+    path = folder / FIELDS / CELLS
+    arrays = _read(path, run)
+    if arrays is None:
+        return None
+    try:
+        points, corners, offsets = (arrays[name] for name in ("points", "corners", "offsets"))
+        cells = Cells(
+            points.reshape(len(points), -1)[:, : int(arrays["dim"])], corners, offsets, arrays.get("particle")
+        )
+        cells.points[cells.corners[cells.offsets[:-1]]]
+    except (KeyError, IndexError, TypeError):
+        raise _damaged(path, "it holds no cells") from None
+    return cells
+
+
+def _read(path: Path, run: str | None) -> dict[str, NDArray[Any]] | None:
+    """Return the arrays of a sealed file; None if there is none, or of another run."""
     if not path.exists():
         return None
     try:
@@ -67,11 +128,10 @@ def read_surface(folder: Path, run: str | None) -> Facets | None:
         with open_hdf5(path) as stored:
             if run is not None and stored.attrs["run"] != run:
                 return None
-            x, area, triangles = (np.asarray(stored[name], dtype=float) for name in ("position", "area", "triangles"))
-        shaped = x.ndim == 2 and x.shape[1] in (1, 2, 3) and area.shape == x.shape and triangles.shape[1:] == (3, 3)
-        if not (shaped and all(np.isfinite(array).all() for array in (x, area, triangles))):
-            raise ValueError("it holds no facets")
+            return {name: np.asarray(array) for name, array in stored.items()}
     except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
-        why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise CaseError(f"Cannot read {path}: {why}; run the case again, or remove the file.") from None
-    return Facets(x, area, triangles)
+        raise _damaged(path, " ".join(str(error).split()).rstrip(".") or type(error).__name__) from None
+
+
+def _damaged(path: Path, why: str) -> CaseError:
+    return CaseError(f"Cannot read {path}: {why}; run the case again, or remove the file.")

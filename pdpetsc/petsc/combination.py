@@ -1,4 +1,4 @@
-"""The matrix ``C`` of tied displacements in PETSc."""
+"""Matrix ``C`` of tied displacements in PETSc."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pdpetsc.problem.supports import Supports
 
 
 def combination_matrix(supports: Supports) -> PETSc.Mat:
-    """Return ``C`` of ``u = C q + g`` over the components of all unknowns (collective).
+    """Build ``C`` of ``u = C q + g`` over the components of all unknowns (collective).
 
-    Columns of prescribed and tied components hold a zero on the diagonal alone, so that ``C^T K C`` has a place there.
+    Columns of prescribed and tied components contain only a zero on the diagonal, so that ``C^T K C`` has an entry
+    there.
     """
     ties, cloud = supports.ties, supports.body.cloud
     assert ties is not None
@@ -20,7 +21,7 @@ def combination_matrix(supports: Supports) -> PETSc.Mat:
     tied = ties.all
     on_terms = np.repeat(tied.particle.astype(np.int64) * dim + tied.axis, np.diff(tied.ptr))
     depends = tied.row * dim + tied.of_axis
-    # Prescribed components are a part of g.
+    # Prescribed components are part of g.
     coefficient = np.where(ties.of_terms(supports.fixed.astype(float)) > 0.0, 0.0, tied.coefficient)
     own = np.arange(supports.fixed.size)
     rows = np.concatenate([own, on_terms])

@@ -1,4 +1,4 @@
-"""Symmetric systems with one number per particle and prescribed values, assembled."""
+"""Assembled symmetric systems with one unknown per particle and prescribed values."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from pdpetsc.petsc.scalar import DIRECT, assembled
 
 PREFIX = "heat_"
 RTOL = 1e-13
-# The solution counts where its residual is below this share of the right-hand side.
+# A solution is accepted if its residual is below this share of the right-hand side,
 GOOD = 1e-10
-# And where it is below so many round-offs of the diagonal times the values.
+# or below this multiple of the round-off of the diagonal times the values.
 FLOOR = 20.0
 MOST = 2000
-# What is added to the diagonal of the preconditioner, as a share of the largest: round-off moves the level of pieces
-# that nothing holds by its inverse.
+# Shift of the diagonal of the preconditioner, as a share of the largest entry. The inverse of the shift multiplies the
+# round-off of the mean value of unsupported pieces.
 LIFTED = 1e-6
 MULTIGRID = {"heat_pc_type": "gamg", "heat_pc_gamg_threshold": 0.02, "heat_mg_coarse_pc_type": "svd"}
 FACTOR = {"heat_pc_type": "cholesky", "heat_pc_factor_mat_solver_type": "mumps"}
 
 
 class ScalarMatrix:
-    """``A x = b`` with x given at some particles.
+    """Solve ``A x = b`` with prescribed x at some particles.
 
     Parameters
     ----------
     cloud : Cloud
         The particles.
     near : (n_local, n_local) sparse
-        What this rank adds to A, over its particles with ghosts.
+        Contribution of this rank to A, over its particles with ghosts.
     held : (n_owned,) bool
-        Where x is given.
+        Particles with prescribed x.
     options : Options
-        Those of the run.
+        Options of the run.
 
     Notes
     -----
@@ -52,7 +52,7 @@ class ScalarMatrix:
         self._whole = assembled(cloud, near, 0.0)
         rows = (cloud.first + np.flatnonzero(held)).astype(PETSc.IntType)
         self._inside = self._whole.copy()
-        # Of particles that nothing joins to others the value stays.
+        # Isolated particles keep their value.
         self._inside.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         diagonal = self._inside.getDiagonal()
         self._diagonal[:] = diagonal.getArray(readonly=True)
@@ -64,7 +64,7 @@ class ScalarMatrix:
         self._inside.assemble()
         self._inside.zeroRowsColumns(rows, diag=self._scale)
         self._lonely = lonely
-        # A piece that nothing holds has no level of its own: the matrix that preconditions has.
+        # The system does not determine the mean value of an unsupported piece; the preconditioning matrix does.
         self._near = self._inside.copy()
         diagonal.setArray(np.full(cloud.n_owned, LIFTED * self._scale))
         self._near.setDiagonal(diagonal, addv=True)
@@ -86,31 +86,31 @@ class ScalarMatrix:
 
     @property
     def mat(self) -> PETSc.Mat:
-        """Return A with the rows and columns of given values and of lonely particles replaced by its scale."""
+        """Return A, with rows and columns of prescribed values and isolated particles replaced by a diagonal."""
         return self._inside
 
     @property
     def near(self) -> PETSc.Mat:
-        """Return it with a level for pieces that nothing holds."""
+        """Return ``mat`` with a shifted diagonal, which is regular for unsupported pieces."""
         return self._near
 
     @property
     def scale(self) -> float:
-        """Return the largest entry of the diagonal, 1 where A is zero (not collective)."""
+        """Return the largest entry of the diagonal, 1 if A is zero (not collective)."""
         return self._scale
 
     def residual(self, values: Float, b: Float, given: Float) -> Float:
-        """Return ``A v - b`` (n_owned,), the scale times what is off where v is given or a particle is lonely."""
+        """Compute ``A v - b`` (n_owned,); for prescribed and isolated particles, the scale times the deviation."""
         found = self.product(np.where(self._held | self._lonely, given, values)) - b
         return np.where(self._held | self._lonely, self._scale * (values - given), found)
 
     def round_off(self, values: Float) -> float:
-        """Return the norm that round-off of ``A v`` gives a residual (collective)."""
+        """Compute the norm of the round-off of ``A v`` in a residual (collective)."""
         squares = total(self._cloud.comm, float(((self._diagonal * values) ** 2).sum()))
         return FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares))
 
     def product(self, values: Float) -> Float:
-        """Return ``A v`` (n_owned,), with the rows of given values."""
+        """Compute ``A v`` (n_owned,), including the rows of prescribed values."""
         x, y = self._whole.createVecs()
         x.setArray(values)
         self._whole.mult(x, y)
@@ -119,13 +119,13 @@ class ScalarMatrix:
         return found
 
     def solve(self, b: Float, start: Float) -> tuple[Float, bool]:
-        """Return x with its given values from ``start`` (n_owned,), and whether it is a solution.
+        """Return x with its prescribed values from ``start`` (n_owned,), and True if it is a solution.
 
-        Where nothing holds a piece, its level is that of ``start``.
+        The mean value of an unsupported piece is that of ``start``.
         """
-        # The difference to the start: given values have none.
+        # Solve for the difference to the start, which is zero for prescribed values.
         residual = b - self.product(start)
-        # What nothing joins to others keeps its value, if no heat enters it.
+        # Isolated particles keep their value if no heat enters them.
         stuck = np.where(self._lonely & ~self._held, np.abs(residual), 0.0)
         residual[self._held | self._lonely] = 0.0
         x, r = self._inside.createVecs()

@@ -1,4 +1,4 @@
-"""Preconditioner of a tangent that is nearly conditions on the displacement: a solve with them as unknowns."""
+"""Saddle-point preconditioner for a tangent with a stiff low-rank part B^T D B (near-incompressibility)."""
 
 from __future__ import annotations
 
@@ -15,37 +15,38 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 
-# Tolerance of a solve with conditions as unknowns over that of the solve that it preconditions and over the largest
-# stiffness of a condition, with which what is left of it counts there; its least, and its largest number of iterations.
+# Tolerance of the saddle-point solve, over that of the outer solve and over the largest stiffness of a constraint,
+# which multiplies its residual there; its smallest value; and the largest number of iterations.
 CLOSER, LEAST, MOST = 1e-2, 1e-13, 1000
-# The Schur complement of the soft tangent, over the inverse of what that resists a condition with.
+# Schur complement of the soft tangent, over the inverse of the soft stiffness of a constraint.
 SPREAD = 1.0
-# Where no condition has more stiffness than this share of what resists it softly the diagonal is as good.
+# The diagonal is sufficient if no constraint is stiffer than this multiple of its soft stiffness.
 LOW = 1.0
 
 
 class Constrained(Preconditioning):
-    """``K = K_0 + B^T D B`` with a stiff D by the system ``[K_0 B^T; B -D^-1]``, whose condition does not know D.
+    """Precondition ``K = K_0 + B^T D B`` with stiff D by the system ``[K_0 B^T; B -D^-1]``.
 
-    MINRES solves it, preconditioned by the two levels of the soft ``K_0`` and by the Schur complement ``D^-1 + B K_0^-1
-    B^T``: a ``SchurComplement``, or where conditions are hardly stiff, too many to be factored, or it fails, its
-    diagonal, of which the second part is about the inverse of what ``K_0`` resists a condition with.
+    The condition number of the system does not depend on D. MINRES solves it, preconditioned by the two levels of the
+    soft ``K_0`` and by the Schur complement ``D^-1 + B K_0^-1 B^T``. The latter is a ``SchurComplement``. Its diagonal
+    is used if constraints are hardly stiff, too many to be factored, or MINRES fails. The second part of the diagonal
+    is about the inverse of the stiffness of ``K_0`` against a constraint.
 
     Parameters
     ----------
     levels : TwoLevel
         The two levels.
     problem : Problem
-        Whose tangent it is.
+        The problem.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        The stiffness that is 1 in the matrices [force / length].
+        Unit of stiffness in the matrices [force / length].
 
     Attributes
     ----------
     iterations : int
-        Of MINRES so far.
+        Total number of MINRES iterations.
     """
 
     def __init__(self, levels: TwoLevel, problem: Problem, fixed: Mask, scale: float) -> None:
@@ -56,7 +57,7 @@ class Constrained(Preconditioning):
         self.iterations = 0
 
     def fill(self, state: State) -> Tangent:
-        """Make it that of a state; return the tangent there."""
+        """Update to a state; return the tangent there."""
         tangent = self._levels.fill(state)
         self.diagonal = self._levels.diagonal
         constraints = tangent.constraint()
@@ -67,13 +68,13 @@ class Constrained(Preconditioning):
         return tangent
 
     def renewed(self) -> Preconditioning:
-        """Return another one for the bonds that there are now."""
+        """Build a new preconditioner for the current bonds."""
         levels = self._levels.renewed()
         assert isinstance(levels, TwoLevel)
         return Constrained(levels, self._problem, self._fixed, self._scale)
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
-        """Let the preconditioner of a solver be a solve with conditions as unknowns, where options do not ask else."""
+        """Use a saddle-point solve as preconditioner, unless options request another one."""
         self._outer = ksp
         pc = ksp.getPC()
         if pc.getType() == "python":
@@ -82,7 +83,7 @@ class Constrained(Preconditioning):
             self._levels.equip(tangent, ksp)
 
     def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write to y what the system makes of forces x."""
+        """Solve the system for forces x, and store the displacements in y."""
         assert self._system is not None
         if self._ksp is None:
             self._ksp = self._system.solver(self._levels, x.getComm(), x.getLocalSize())
@@ -114,40 +115,40 @@ class Constrained(Preconditioning):
 
 
 class _Solve:
-    """A solve of the system as a preconditioner; PETSc would call a method destroy of what made it."""
+    """Apply a saddle-point solve as preconditioner; without a method ``destroy``, which PETSc would call."""
 
     def __init__(self, of: Constrained) -> None:
         self._of = of
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Precondition; PETSc calls it."""
+        """Apply the preconditioner; called by PETSc."""
         self._of.solve(x, y)
 
 
 class _Blocks:
-    """The two levels, and the Schur complement."""
+    """Apply the two levels and the Schur complement."""
 
     def __init__(self, system: _System) -> None:
         self._system = system
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Precondition; PETSc calls it."""
+        """Apply the preconditioner; called by PETSc."""
         self._system.precondition(x, y)
 
 
 class _Whole:
-    """The system times a vector."""
+    """Apply the system to a vector."""
 
     def __init__(self, system: _System) -> None:
         self._system = system
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply; PETSc calls it."""
+        """Compute the product; called by PETSc."""
         self._system.times(x, y)
 
 
 class _System:
-    """``[K_0 B^T; B -D^-1]`` over the scale of the tangent, and its preconditioner, as PETSc asks for them."""
+    """Represent ``[K_0 B^T; B -D^-1]`` over the scale of the tangent, and its preconditioner, for PETSc."""
 
     def __init__(self, body: Body, fixed: Mask, scale: float) -> None:
         self._body, self._free, self._scale = body, ~fixed, scale
@@ -155,7 +156,7 @@ class _System:
         self._schur: SchurComplement | None = None
 
     def take(self, soft: Tangent, constraints: ConstraintProduct, diagonal: Float) -> None:
-        """Be the system of a tangent whose soft part has a diagonal (n_rows * dim,) [force / length] (collective)."""
+        """Bind a tangent whose soft part has a diagonal (n_rows * dim,) [force / length] (collective)."""
         self._soft, self._of = soft, constraints
         sizes = np.diff(constraints.ptr)
         self._condition_of = np.repeat(np.arange(len(sizes)), sizes)
@@ -172,14 +173,14 @@ class _System:
             self._schur = SchurComplement(body, constraints, *data)
 
     def forget_schur(self) -> bool:
-        """Take the diagonal of the Schur complement from now on; return whether it was another before."""
+        """Replace the Schur complement by its diagonal; return False if it was the diagonal before."""
         other, self._schur = self._schur, None
         if other is not None:
             other.destroy()
         return other is not None
 
     def solver(self, levels: TwoLevel, comm: PETSc.Comm, n: int) -> PETSc.KSP:
-        """Return MINRES with the two levels (collective)."""
+        """Build MINRES with the two levels as preconditioner (collective)."""
         size = n + len(self._compliance)
         self.mat = PETSc.Mat().createPython(((size, None), (size, None)), context=_Whole(self), comm=comm)
         self.mat.setUp()
@@ -204,7 +205,7 @@ class _System:
         return ksp
 
     def times(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply."""
+        """Compute the product of the system with x."""
         n, of, body = self._free.size, self._of, self._body
         values = x.array_r
         u, q = values[:n].reshape(self._free.shape), values[n:]
@@ -219,7 +220,7 @@ class _System:
         whole[n:] = strain - self._compliance * q
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Precondition."""
+        """Apply the two levels and the Schur complement to x."""
         n = self._free.size
         self._x.setArray(x.array_r[:n])
         self._inner.solve(self._x, self._y)
@@ -229,7 +230,7 @@ class _System:
         whole[n:] = right / (self._compliance + self._soften) if self._schur is None else self._schur.solve(right)
 
     def soft_times(self, x: Float) -> Float:
-        """Return the soft tangent over the scale times unknowns (n_rows * dim,)."""
+        """Compute the soft tangent over the scale times unknowns (n_rows * dim,)."""
         u = x.reshape(self._free.shape)
         np.multiply(u, self._free, out=self._masked)
         return np.where(self._free, self._soft(self._masked) / self._scale, u).ravel()
@@ -242,11 +243,11 @@ class _System:
 
 
 class _Soft:
-    """The soft tangent times a vector."""
+    """Apply the soft tangent to a vector."""
 
     def __init__(self, system: _System) -> None:
         self._system = system
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply; PETSc calls it."""
+        """Compute the product; called by PETSc."""
         y.setArray(self._system.soft_times(x.array_r))

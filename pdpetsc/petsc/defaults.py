@@ -12,15 +12,16 @@ from pdpetsc.problem.problem import Problem
 LOOSE = 1e-3
 
 
-# Those of a linear solver, which are of one part where there are several.
+# Options of a linear solver; with several blocks, each block has its own.
 OF_A_SOLVER = ("ksp_", "pc_", "mat_", "mg_")
 
 
 def coupled_options(defaults: Mapping[str, object]) -> dict[str, object]:
-    """Return solver options of a displacement as those of the part of it beside a temperature.
+    """Convert solver options of a displacement to those of the displacement block beside a temperature.
 
-    The temperature is found first, by a Cholesky factor, and moves the forces of the displacement: flexible GMRES about
-    PCFIELDSPLIT takes one iteration where both parts are factored. The coupled system has no energy: full steps.
+    The temperature is solved first, with a Cholesky factor, and changes the forces of the displacement. Flexible GMRES
+    with PCFIELDSPLIT needs one iteration if both blocks are factored. The coupled system has no energy, so full steps
+    are used.
     """
     found: dict[str, object] = {}
     for name, value in defaults.items():
@@ -36,27 +37,35 @@ def coupled_options(defaults: Mapping[str, object]) -> dict[str, object]:
 
 
 def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) -> dict[str, object]:
-    """Return pdpetsc's solver options for a problem; those of the case and the command line override each.
+    """Return the default solver options of a problem; options of the case and the command line override them.
 
-    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients: without a
-    matrix on two levels (``TwoLevel``), with one on algebraic multigrid with rigid-body near-null space.
-    The line search ``cp`` looks for a zero of the residual along the step, which is right for the gradient of an
-    energy; in slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Its
-    secant steps cost residuals only: up to ten of them, against PETSc's one, lower the Newton iterations of the first
-    of ten steps of a cantilever under a large tip force from 32 to 10.
-    Where points fail a search ends once a tenth of the first derivative of the energy along the step is left: there the
-    energy has kinks, and to look further costs as many residuals again.
-    Where options ask for GAMG without a matrix it smooths with the tangent itself (``-pc_use_amat``, PETSc's default),
-    whose short waves are softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds
-    estimated with the tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice
-    the time each.
-    GAMG keeps its aggregates while Newton goes on.
-    Every absolute tolerance is zero: a number with a unit says nothing of how good an answer is. That of ``cp`` would
-    end a solve as converged where force and step are small numbers, whatever the residual is.
-    Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
-    Along a path the residual with its constraint is not the gradient of an energy, so full steps are taken. There and
-    with damage of bonds linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges
-    (Eisenstat1996).
+    The solver is direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``. Beyond, it is conjugate
+    gradients: with two levels (``TwoLevel``) if matrix-free, with algebraic multigrid and rigid-body near-null space if
+    assembled.
+
+    The line search ``cp`` searches a zero of the residual along the step, which is right for the gradient of an energy.
+    In slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Secant steps of
+    ``cp`` cost only residuals. Up to ten of them, against PETSc's one, reduce the Newton iterations of a cantilever
+    under a large tip force from 32 to 10 (first of ten steps).
+
+    If points fail, a search ends when a tenth of the first derivative of the energy along the step is left. The energy
+    then has kinks, and a longer search costs as many residuals again.
+
+    If options request GAMG without a matrix, it smooths with the tangent itself (``-pc_use_amat``, PETSc's default).
+    Short waves of the tangent are softer than those of the nearest neighbours that GAMG coarsens. One Chebyshev step
+    with bounds estimated from the tangent needs 17 iterations. Two steps with the bounds of the nearest neighbours need
+    15, at twice the time each.
+
+    GAMG keeps its aggregates during Newton iterations.
+
+    Every absolute tolerance is zero: a number with a unit does not measure the quality of a solution. The absolute
+    tolerance of ``cp`` would accept any residual if force and step are small numbers.
+
+    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
+
+    Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Along paths
+    and with damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as
+    Newton converges (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
@@ -79,17 +88,18 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             "mat_mumps_icntl_14": 50,
         }
         if problem.symmetric and problem.body.cloud.comm.size > 1:
-            # The last dense block is factored without ScaLAPACK, which does not count negative pivots.
+            # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:
-        # Conjugate gradients stop at negative curvature with a direction along which the energy falls, or rises.
+        # Conjugate gradients stop at negative curvature. The energy may fall or rise along the direction that they
+        # return.
         defaults["snes_max_linear_solve_fail"] = defaults["snes_max_it"]
     if choice.levels and problem.constrained:
-        # A solve with conditions as unknowns preconditions, and is another one each time.
+        # The preconditioner is an iterative saddle-point solve, which varies between applications.
         defaults |= {"ksp_type": "fgmres", "pc_type": "python"}
         return defaults | {f"soft_{name}": value for name, value in _of_levels(choice.levels).items()}
     if choice.levels:
@@ -104,12 +114,12 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
 
 
 def _of_levels(kind: str) -> dict[str, object]:
-    """Return the options of the two levels: one application of the tangent an iteration, unless cycles are asked for.
+    """Return the options of the two levels: by default, one application of the tangent per iteration.
 
-    The sum of what both levels correct takes about twice the iterations of a cycle, each with one application of the
-    tangent instead of three, and no bounds that have to be estimated.
+    The sum of the corrections of both levels needs about twice the iterations of a cycle. An iteration applies the
+    tangent once instead of three times, and needs no estimated bounds.
     """
-    # Where nodes are many: three Chebyshev steps of GAMG, which one cycle takes up to twice the iterations for.
+    # For many nodes: three Chebyshev steps of GAMG. One cycle would need up to twice the iterations.
     coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 3, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}
     coarse |= {"mg_coarse_pc_gamg_agg_nsmooths": 1, "mg_coarse_pc_gamg_threshold": 0.01}
     coarse["mg_coarse_pc_gamg_reuse_interpolation"] = "true"

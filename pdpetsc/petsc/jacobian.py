@@ -1,4 +1,4 @@
-"""Whether the tangent is assembled or applied without a matrix."""
+"""Choice between an assembled and a matrix-free tangent."""
 
 from __future__ import annotations
 
@@ -24,38 +24,37 @@ from pdpetsc.problem.background_grid import BackgroundGrid
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 
-# Largest number of unknowns for which the direct solver is the default, by dimension: it takes a second at most there
-# and counts negative pivots. Two levels are quicker from a thousand particles on at horizon 2.
+# Largest number of unknowns for which the direct solver is the default, by dimension. A factorisation then takes at
+# most a second and counts negative pivots. Two levels are faster from a thousand particles on at horizon 2.
 DIRECT_UNKNOWNS = {1: 10**7, 2: 20_000, 3: 3_000}
-# The same where iterations may fail that a factorisation does not need: with damage, whose tangents are not definite,
-# and where nothing controls zero-energy modes.
+# The same for problems on which iterative solvers may fail: with damage, whose tangents are not definite, and without
+# control of zero-energy modes.
 HARD_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
-# Blocks of a matrix row of nearest neighbours on a lattice, by dimension; a tangent with at most WIDE times as many
-# blocks in a row is assembled: in 3D multigrid on it takes twice as long even at horizon 1.
+# Blocks of a matrix row of nearest neighbours on a lattice, by dimension. A tangent with at most WIDE times as many
+# blocks in a row is assembled. In 3D multigrid on it takes twice as long even at horizon 1.
 NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, {1: 1.5, 2: 1.5, 3: 0.0}
-# Particles of each rank whose neighbours at two horizons are counted.
+# Sample size on each rank for counting neighbours within two horizons.
 SAMPLE = 300
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How the tangent is represented.
+    """Store how the tangent is represented.
 
     Attributes
     ----------
     pc : str
-        The preconditioner that options name, empty where none.
+        Preconditioner named by options, empty if none.
     direct : bool
-        Whether a factorisation is the solver.
+        Whether the solver is a factorisation.
     matrix_free : bool
         Whether the tangent is applied without a matrix.
     levels : str
-        How its diagonal blocks and a background grid precondition it, PETSc's type of multigrid; empty where they do
-        not.
+        PETSc's type of multigrid with diagonal blocks and a background grid; empty for another preconditioner.
     estimate : int
-        Estimated memory of the assembled tangent over all ranks [bytes]; 0 where the size was not asked for.
+        Estimated memory of the assembled tangent over all ranks [bytes]; 0 if it was not estimated.
     why : str
-        What decided, for the log.
+        Reason for the choice, for the log.
     """
 
     pc: str
@@ -67,14 +66,14 @@ class Choice:
 
 
 def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, pivots: bool = False) -> Choice:
-    """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
+    """Choose by ``-pd_jacobian``, else by size: direct for small problems, assembled for narrow rows.
 
     Parameters
     ----------
     chosen : mapping
-        PETSc options of the case; those of the command line win.
+        PETSc options of the case; options of the command line take precedence.
     pivots : bool
-        Whether the case asks whether equilibria are stable, which only a factorisation tells.
+        Whether the case requests the stability of equilibria, which requires a factorisation.
 
     Raises
     ------
@@ -87,7 +86,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     """
     database = PETSc.Options()
     word = database.getString("pd_jacobian", str(chosen.get("pd_jacobian", "auto")))
-    # Beside a temperature it is the solver of a part.
+    # With a temperature, it is the solver of the displacement block.
     name = "fieldsplit_displacement_pc_type" if problem.coupled else "pc_type"
     pc = database.getString(name, str(chosen.get(name, "")))
     if word == "matfree" and problem.coupled:
@@ -128,7 +127,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
 
 
 def _largest_factored(problem: Problem) -> tuple[int, str]:
-    """Return up to how many unknowns the direct solver is the default, and what that is for (collective)."""
+    """Return the largest number of unknowns for the direct solver, and the kind of problem (collective)."""
     dim, cloud = problem.dim, problem.body.cloud
     if problem.damage is not None:
         return HARD_UNKNOWNS[dim], " with damage"
@@ -140,24 +139,24 @@ def _largest_factored(problem: Problem) -> tuple[int, str]:
 
 
 def assembler(problem: Problem, choice: Choice) -> Filler:
-    """Return what fills the matrices that the choice asks for (collective)."""
+    """Build the object that fills the matrices of the choice (collective)."""
     if not choice.matrix_free:
         return Assembler(problem)
     return BackgroundGrid(problem) if choice.levels else NearAssembler(problem)
 
 
 def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
-    """Return the tangent over ``scale`` [force / length] whose matrices are filled so (collective)."""
+    """Build the tangent over ``scale`` [force / length] from the object that fills its matrices (collective)."""
     return _TANGENTS[type(filler)](filler, fixed, scale)
 
 
 def predicted(filler: Filler) -> int:
-    """Return the memory of the entries of the matrices that are filled so, over all ranks [bytes] (collective)."""
+    """Estimate the memory of the matrix entries over all ranks [bytes] (collective)."""
     return _MEMORY[type(filler)](filler)
 
 
 def words(choice: Choice, predicted: int) -> str:
-    """Return for the log how the tangent is represented; its matrices take ``predicted`` bytes (not collective)."""
+    """Return the log line for the representation of the tangent with ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
         by = "a background grid" if choice.levels else "the matrix of nearest neighbours"
         return (
@@ -170,7 +169,7 @@ def words(choice: Choice, predicted: int) -> str:
 
 
 def matrices(choice: Choice) -> str:
-    """Return what is allocated for the tangent, for the record (not collective)."""
+    """Return the name of the matrices of the tangent, for the run record (not collective)."""
     if not choice.matrix_free:
         return "tangent matrix"
     return "matrix of the background grid" if choice.levels else "matrix of nearest neighbours"
@@ -208,7 +207,7 @@ _MEMORY: dict[type[Filler], Callable[[Any], int]] = {
 
 
 def _blocks(problem: Problem) -> float:
-    """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
+    """Estimate the number of blocks of the assembled tangent from a sample of particles (collective)."""
     cloud = problem.body.cloud
     sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
     reach = cloud.local_horizon[sample] * problem.horizons * (1.0 + 1e-9)

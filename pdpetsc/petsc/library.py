@@ -1,4 +1,4 @@
-"""What petsc4py does not offer: raw arrays of values, domain errors, counts of pivots, options that were used.
+"""Functions that petsc4py does not wrap: raw value arrays, domain errors, pivot counts, used options.
 
 The functions called here have had the same C signature since PETSc 3.18.
 """
@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 
-# PETSc's types of SNES that are Newton's method.
+# Types of SNES that are Newton's method.
 NEWTON = ("newtonls", "newtontr", "newtontrdc", "ksponly")
 
 
@@ -30,7 +30,7 @@ def _check(code: int) -> None:
 
 
 def seq_blocks(mat: PETSc.Mat) -> tuple[int, int | None]:
-    """Return the handles of the sequential matrices of own and of other columns of an AIJ matrix."""
+    """Return the handles of the sequential matrices of own and other columns of an AIJ matrix."""
     if mat.getType() == "seqaij":
         return int(mat.handle), None
     diag, off = ctypes.c_void_p(), ctypes.c_void_p()
@@ -41,7 +41,7 @@ def seq_blocks(mat: PETSc.Mat) -> tuple[int, int | None]:
 
 @contextlib.contextmanager
 def values_of(handle: int | None, count: int) -> Iterator[Float]:
-    """Give write access to the ``count`` values of a sequential AIJ matrix, without a copy."""
+    """Provide write access to the ``count`` values of a sequential AIJ matrix, without a copy."""
     if handle is None or count == 0:
         yield np.empty(0)
         return
@@ -55,12 +55,12 @@ def values_of(handle: int | None, count: int) -> Iterator[Float]:
 
 
 def set_domain_error(snes: PETSc.SNES) -> None:
-    """Tell SNES that the residual is not defined at the point it asked for."""
+    """Report to SNES that the residual is undefined at the requested point."""
     _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
 
 
 def forces_iteration(snes: PETSc.SNES) -> bool:
-    """Return whether -snes_force_iteration asks for an iteration of every solve (not collective)."""
+    """Return True if -snes_force_iteration requires an iteration in every solve (not collective)."""
     forced = ctypes.c_int(0)
     _check(_library().SNESGetForceIteration(ctypes.c_void_p(snes.handle), ctypes.byref(forced)))
     return bool(forced.value)
@@ -68,13 +68,13 @@ def forces_iteration(snes: PETSc.SNES) -> bool:
 
 @contextlib.contextmanager
 def full_steps(snes: PETSc.SNES) -> Iterator[None]:
-    """Let Newton take full steps in the body, whatever line search the options name."""
+    """Use full Newton steps in the ``with`` block, for any line search of the options."""
     search = _line_search(snes)
     _check(_library().SNESLineSearchSetType(search, b"basic"))
     try:
         yield
     finally:
-        # A new type has its own numbers of iterations; all are back with the options.
+        # A new type resets its numbers of iterations; the options restore them.
         _check(_library().SNESLineSearchSetFromOptions(search))
 
 
@@ -92,7 +92,7 @@ def _line_search(snes: PETSc.SNES) -> ctypes.c_void_p:
 
 
 def set_up_failed(ksp: PETSc.KSP) -> bool:
-    """Set up a linear solver; return whether its preconditioner could not be, as of a singular matrix (collective)."""
+    """Set up a linear solver; return True if its preconditioner failed, as for a singular matrix (collective)."""
     ksp.setUp()
     failed = ctypes.c_int(0)
     _check(_library().PCGetFailedReason(ctypes.c_void_p(ksp.getPC().handle), ctypes.byref(failed)))
@@ -100,7 +100,7 @@ def set_up_failed(ksp: PETSc.KSP) -> bool:
 
 
 def refactors(snes: PETSc.SNES) -> bool:
-    """Return whether SNES factors the tangent anew at every iteration: Newton's method that lags nothing behind."""
+    """Return True if SNES factors the tangent in every iteration (Newton's method without lagging)."""
     lag = ctypes.c_int(1)
     for ask in (_library().SNESGetLagJacobian, _library().SNESGetLagPreconditioner):
         _check(ask(ctypes.c_void_p(snes.handle), ctypes.byref(lag)))
@@ -110,10 +110,10 @@ def refactors(snes: PETSc.SNES) -> bool:
 
 
 def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
-    """Return how many pivots of a factored symmetric matrix are negative: as many as it has negative eigenvalues.
+    """Count the negative pivots of a factored symmetric matrix, which equal its negative eigenvalues.
 
-    None where the linear solver has no factor of the symmetric ``mat`` itself, and where its package does not count
-    them or has shifted them (collective).
+    None if the linear solver has no factor of the symmetric ``mat`` itself, or if its package does not count pivots or
+    has shifted them (collective).
     """
     pc = ksp.getPC()
     if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0 or pc.getOperators()[1].handle != mat.handle:
@@ -124,7 +124,7 @@ def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
         return None
     factor = pc.getFactorMatrix()
     if pc.getFactorSolverType() == "mumps":
-        # PETSc's own question also wants to know the zero ones, for which MUMPS would have to look for null pivots.
+        # PETSc's function also requests the zero pivots, for which MUMPS would have to detect null pivots.
         whole = factor.getComm().size == 1 or factor.getMumpsIcntl(13) == 1
         return int(factor.getMumpsInfog(12)) if whole else None
     _check(_library().PCFactorGetShiftType(ctypes.c_void_p(pc.handle), ctypes.byref(shift)))
@@ -138,7 +138,7 @@ def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
 
 
 def null_pivots(ksp: PETSc.KSP) -> int:
-    """Return how many vanishing pivots MUMPS has replaced in its last factor; 0 for other solvers (collective)."""
+    """Count the null pivots that MUMPS has replaced in its last factor; 0 for other solvers (collective)."""
     pc = ksp.getPC()
     if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
         return 0
@@ -146,15 +146,16 @@ def null_pivots(ksp: PETSc.KSP) -> int:
 
 
 def put_irregular(b: PETSc.Vec) -> None:
-    """Set numbers without any symmetry between -1 and 1 (not collective)."""
+    """Fill a vector with numbers between -1 and 1 without symmetry (not collective)."""
     first, last = b.getOwnershipRange()
     b.array = np.sin(1.0 + np.arange(first, last, dtype=np.float64) ** 2)
 
 
 def start_anew(ksp: PETSc.KSP) -> None:
-    """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective).
+    """Reset a factorisation that failed, since PETSc's MUMPS would not try the next matrix (collective).
 
-    Others are made anew for every matrix; GAMG cannot be reset, it keeps the solvers of its levels with their sizes.
+    Other preconditioners are rebuilt for every matrix. GAMG cannot be reset: it keeps the solvers of its levels with
+    their sizes.
     """
     if ksp.getPC().getType() == "mg":
         start_anew(ksp.getPC().getMGCoarseSolve())
@@ -166,7 +167,7 @@ def start_anew(ksp: PETSc.KSP) -> None:
 
 
 def effort(ksp: PETSc.KSP) -> float | None:
-    """Return the iterations per digit of the last linear solve, None without one or where it failed."""
+    """Return the iterations per digit of the last linear solve; None if there is none or it failed."""
     rtol = float(ksp.getTolerances()[0])
     if ksp.getConvergedReason() <= 0 or not 0.0 < rtol < 1.0:
         return None
@@ -174,7 +175,7 @@ def effort(ksp: PETSc.KSP) -> float | None:
 
 
 def linear_solver(ksp: PETSc.KSP) -> str:
-    """Return a linear solver in a few words."""
+    """Return a short description of a linear solver."""
     pc = ksp.getPC()
     package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky", "ilu", "icc") else None
     return f"ksp {ksp.getType()}, pc {f'{pc.getType()} ({package})' if package else pc.getType()}"
@@ -186,7 +187,7 @@ def petsc_version() -> str:
 
 
 def option_used(name: str) -> bool:
-    """Return whether any PETSc object looked up an option, given without its dash."""
+    """Return True if a PETSc object has looked up an option, named without its dash."""
     used = ctypes.c_int(0)
     _check(_library().PetscOptionsUsed(None, name.encode(), ctypes.byref(used)))
     return bool(used.value)

@@ -1,4 +1,4 @@
-"""The tangent matrix in PETSc: allocation, values in place, prescribed degrees of freedom."""
+"""Tangent matrix in PETSc: allocation, values in place, prescribed degrees of freedom."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pdpetsc.problem.state import State
 
 
 def predicted_bytes(sparsity: Sparsity, dim: int) -> int:
-    """Return the memory of the matrix over all ranks, from its sparsity: values, columns and rows [bytes].
+    """Estimate the memory of the matrix over all ranks from its sparsity: values, columns and rows [bytes].
 
     Notes
     -----
@@ -31,10 +31,10 @@ def predicted_bytes(sparsity: Sparsity, dim: int) -> int:
 
 
 class TangentMatrix(PetscTangent):
-    """An AIJ matrix of block size ``dim`` that an assembler fills in place.
+    """Store the tangent in an AIJ matrix of block size ``dim`` that an assembler fills in place.
 
-    It holds ``C^T K C / scale`` with the constraints ``u = C q + g``. Rows and columns of prescribed and tied degrees
-    of freedom hold only 1 on the diagonal, so that the matrix stays symmetric.
+    The matrix is ``C^T K C / scale`` with the constraints ``u = C q + g``. Rows and columns of prescribed and tied
+    degrees of freedom contain only 1 on the diagonal, so that the matrix stays symmetric.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class TangentMatrix(PetscTangent):
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        The stiffness that is 1 in the matrix [force / length].
+        Unit of stiffness in the matrix [force / length].
 
     Notes
     -----
@@ -73,7 +73,7 @@ class TangentMatrix(PetscTangent):
         self.diagonal = np.zeros(n * dim)
 
     def update(self, state: State, effort: float | None = None) -> None:
-        """Fill the matrix with K; that of a linear problem only where it has changed since."""
+        """Fill the matrix with K. The matrix of a linear problem is filled only if the problem has changed."""
         version = self._assembler.problem.version
         if self._filled == version and self._assembler.problem.linear:
             return
@@ -93,7 +93,7 @@ class TangentMatrix(PetscTangent):
         self._filled = version
 
     def _combined(self, mat: PETSc.Mat | None) -> PETSc.Mat:
-        """Return ``C^T K C`` with 1 on the diagonal of prescribed and tied degrees of freedom, in ``mat`` if given."""
+        """Compute ``C^T K C`` with 1 on the diagonal of prescribed and tied degrees of freedom, in ``mat`` if given."""
         if mat is None:
             self._whole.assemble()
         found = self._whole.ptap(self._tied, result=mat)
@@ -106,15 +106,15 @@ class TangentMatrix(PetscTangent):
         return found
 
     def renew(self) -> bool:
-        """Return False: the sparsity is that of the whole families."""
+        """Return False: the sparsity is that of whole families."""
         return False
 
     def holds(self) -> bool:
-        """Return whether the problem has not changed since it was filled, at whatever displacement (not collective)."""
+        """Return True if the problem has not changed since the last fill, at any displacement (not collective)."""
         return self._filled == self._assembler.problem.version
 
     def forget(self) -> None:
-        """Let the next ``update`` fill it anew: its displacement was given up (not collective)."""
+        """Force the next ``update`` to fill the matrix, since its displacement was rejected (not collective)."""
         self._filled = -1
 
     @property
@@ -149,7 +149,7 @@ def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
 
 
 def _describe(mat: PETSc.Mat, problem: Problem) -> None:
-    """Tell PETSc whether the matrix is symmetric, and its near-null space."""
+    """Set the symmetry and the near-null space of the matrix."""
     if problem.symmetric:
         mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -157,7 +157,7 @@ def _describe(mat: PETSc.Mat, problem: Problem) -> None:
 
 
 def _global_columns(sparsity: Sparsity) -> GlobalIndex:
-    """Return the global row of every block's column, in the order of the rows of a distributed matrix."""
+    """Return the global row of the column of every block, in the order of the rows of a distributed matrix."""
     n, first = sparsity.n_own_columns, sparsity.cloud.first
     columns = sparsity.rows.columns
     other = np.concatenate([sparsity.other_columns, [0]])
@@ -189,7 +189,7 @@ def _diagonal(ptr: GlobalIndex, columns: GlobalIndex, dim: int) -> GlobalIndex:
 
 
 def _attach_rigid_modes(mat: PETSc.Mat, problem: Problem) -> None:
-    """Give the matrix its near-null space, which algebraic multigrid coarsens with."""
+    """Set the near-null space of the matrix, which algebraic multigrid uses for coarsening."""
     cloud = problem.body.cloud
     modes = rigid_modes(cloud)
     basis = []

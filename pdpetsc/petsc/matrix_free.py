@@ -1,4 +1,4 @@
-"""The tangent applied without a matrix, and when what preconditions it is made anew."""
+"""Matrix-free tangent, and the rules for rebuilding its preconditioner."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 
-# The preconditioner is made anew when a solve takes this many times the iterations per digit of the first one with it.
+# The preconditioner is rebuilt if a solve needs this multiple of the iterations per digit of the first solve with it.
 HARDER = 1.3
-# A particle this many times as stiff as when the bounds of the smoother were estimated may lie outside of them.
+# Estimated bounds of the smoother may be invalid if a particle has become stiffer by this factor.
 STIFFER = 1.05
 
 
 class Preconditioning(ABC):
-    """What a preconditioner of a tangent without a matrix is made from.
+    """Provide the matrix for the preconditioner of a matrix-free tangent.
 
     Attributes
     ----------
     mat : Mat
-        The matrix that PETSc is given for it, over the scale of the tangent.
+        Preconditioning matrix for PETSc, over the scale of the tangent.
     diagonal : (n_rows * dim,) float64
         Diagonal of the tangent, or an estimate of it [force / length].
     bounded : bool
-        Whether what smooths holds for the stiffness that it has seen only.
+        Whether the smoother is valid only up to the stiffness at which it was set up.
 
     Notes
     -----
@@ -46,19 +46,19 @@ class Preconditioning(ABC):
 
     @abstractmethod
     def fill(self, state: State) -> Tangent:
-        """Make it that of a state; return the tangent there."""
+        """Update to a state; return the tangent there."""
 
     @abstractmethod
     def renewed(self) -> Preconditioning:
-        """Return another one for the bonds that there are now; this one is gone then."""
+        """Build a new object for the current bonds, and free this one."""
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:  # noqa: B027
-        """Give a linear solver of the tangent what options alone do not."""
+        """Set properties of a linear solver of the tangent that options cannot set."""
 
     @property
     @abstractmethod
     def bytes(self) -> int:
-        """Return the memory of the entries of its matrices, over all ranks [bytes]."""
+        """Return the memory of the matrix entries over all ranks [bytes]."""
 
     @abstractmethod
     def destroy(self) -> None:
@@ -66,20 +66,20 @@ class Preconditioning(ABC):
 
 
 class MatrixFreeTangent(PetscTangent):
-    """A Mat of type python that applies ``K(u)`` family by family, and what preconditions it.
+    """Apply ``K(u)`` family by family in a Mat of type python, and manage its preconditioner.
 
-    Both are over a scale, and rows and columns of prescribed degrees of freedom hold only 1 on the diagonal.
+    Both are divided by a scale. Rows and columns of prescribed degrees of freedom contain only 1 on the diagonal.
 
     Parameters
     ----------
     problem : Problem
-        Whose tangent it is.
+        The problem.
     preconditioning : Preconditioning
-        What the preconditioner is made from, over the same scale.
+        Preconditioning matrix, over the same scale.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        The stiffness that is 1 in both [force / length].
+        Unit of stiffness in both [force / length].
     """
 
     def __init__(self, problem: Problem, preconditioning: Preconditioning, fixed: Mask, scale: float) -> None:
@@ -99,7 +99,7 @@ class MatrixFreeTangent(PetscTangent):
         self._strength = np.empty(0)
 
     def update(self, state: State, effort: float | None = None) -> None:
-        """Make it K at a state; what preconditions it stays as it is while linear solves do not get harder."""
+        """Update to K at a state. The preconditioner is kept while linear solves do not need more iterations."""
         version = self._problem.version
         if self._problem.linear and self.holds():
             return
@@ -116,7 +116,7 @@ class MatrixFreeTangent(PetscTangent):
         self.mat.stateIncrease()
 
     def _does_well(self, effort: float | None) -> bool:
-        """Return whether the preconditioner does as well as when it was new; the first solve with it tells how well."""
+        """Return True if the effort is still close to that of the first solve with the preconditioner."""
         if effort is None or self._version < 0:
             return False
         if self._effort is None:
@@ -124,14 +124,14 @@ class MatrixFreeTangent(PetscTangent):
         return effort <= HARDER * self._effort
 
     def _stiffer(self, tangent: Tangent) -> bool:
-        """Return whether a particle is much stiffer than when the bounds of the smoother were estimated."""
+        """Return True if a particle is much stiffer than at the estimate of the bounds of the smoother."""
         if not self._made_from.bounded:
             return False
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
         return largest(self._problem.body.cloud.comm, ratio) > STIFFER
 
     def renew(self) -> bool:
-        """Choose anew what preconditions it where bonds have broken or mended."""
+        """Rebuild the preconditioner if bonds have broken or mended; return True if it was rebuilt."""
         if self._rebuilds == self._problem.rebuilds:
             return False
         self._rebuilds = self._problem.rebuilds
@@ -141,20 +141,20 @@ class MatrixFreeTangent(PetscTangent):
         return True
 
     def equip(self, ksp: PETSc.KSP) -> None:
-        """Give a linear solver, whose options are set, what options alone do not."""
+        """Set properties of a linear solver that options cannot set; its options must be set before."""
         self._made_from.equip(self.mat, ksp)
 
     def holds(self) -> bool:
-        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        """Return True if the tangent is that of the current problem, at any displacement (not collective)."""
         return self._rebuilds == self._problem.rebuilds and self._version == self._problem.version
 
     def forget(self) -> None:
-        """Let the next ``update`` make it anew (not collective)."""
+        """Force the next ``update`` to rebuild the tangent (not collective)."""
         self._version = -1
 
     @property
     def bytes(self) -> int:
-        """Return the memory of the entries of the matrices that precondition it, over all ranks [bytes]."""
+        """Return the memory of the entries of the preconditioning matrices over all ranks [bytes]."""
         return self._made_from.bytes
 
     def destroy(self) -> None:
@@ -164,16 +164,16 @@ class MatrixFreeTangent(PetscTangent):
 
 
 class NearMatrix(Preconditioning):
-    """A matrix of nearest neighbours, of which any of PETSc's preconditioners can be made.
+    """Store the matrix of nearest neighbours, for any of PETSc's preconditioners.
 
     Parameters
     ----------
     near : NearAssembler
-        Fills it.
+        Assembler of the matrix.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        The stiffness that is 1 in it [force / length].
+        Unit of stiffness in the matrix [force / length].
     """
 
     def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
@@ -189,13 +189,13 @@ class NearMatrix(Preconditioning):
         return self._near.take_tangent()
 
     def renewed(self) -> Preconditioning:
-        """Return that of the nearest neighbours that hold now."""
+        """Build a new matrix for the nearest neighbours that are still bonded."""
         self.destroy()
         return NearMatrix(NearAssembler(self._near.problem), self._fixed, self._scale)
 
     @property
     def bytes(self) -> int:
-        """Return the memory of its entries, over all ranks [bytes]."""
+        """Return the memory of the matrix entries over all ranks [bytes]."""
         return self._matrix.bytes
 
     def destroy(self) -> None:
@@ -204,7 +204,7 @@ class NearMatrix(Preconditioning):
 
 
 class _Product:
-    """``C^T K C`` times a vector, with the rows of prescribed and tied degrees of freedom."""
+    """Apply ``C^T K C`` to a vector, with the rows of prescribed and tied degrees of freedom."""
 
     def __init__(self, supports: Supports, scale: float) -> None:
         self._supports, self._fixed, self._free = supports, supports.fixed, ~supports.fixed
@@ -213,7 +213,7 @@ class _Product:
         self.tangent: Tangent | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply; PETSc calls it."""
+        """Compute the product; called by PETSc."""
         assert self.tangent is not None
         values = x.array_r.reshape(self._free.shape)
         if self._supports.ties is None:

@@ -10,39 +10,41 @@ from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.petsc.library import null_pivots, put_irregular, set_up_failed
 from pdpetsc.petsc.tangent import PetscTangent
 
-# Least energy of a displacement over the sum of the energies of its components alone that is not round-off. Bodies that
-# hold together are above 1e-9, pieces on soft springs above 1e-11; mechanisms are below 1e-27.
+# Smallest energy of a displacement, over the sum of the energies of its components alone, that is not round-off.
+# Connected bodies are above 1e-9, fragments on soft springs above 1e-11; mechanisms are below 1e-27.
 ROUND_OFF = 100.0 * float(np.finfo(float).eps)
-# Tolerance of the linear solve. A mechanism keeps the residual from falling below a share of about the inverse root of
-# the number of unknowns.
+# Tolerance of the linear solve. With a mechanism the residual stays above about the inverse root of the number of
+# unknowns.
 RTOL = 1e-4
-# Largest number of iterations, and that of iterations without the preconditioner of the run.
+# Largest number of iterations, with and without the preconditioner of the run.
 MOST, MOST_ALONE = 500, 10_000
 
 
 def mechanism(tangent: PetscTangent, ksp: PETSc.KSP, free: Mask, scale: float) -> Float | None:
-    """Return a displacement (n_rows, dim) that a tangent K does not resist, at most 1; None if every one is resisted.
+    """Find a displacement (n_rows, dim) that a tangent K does not resist, at most 1; None if there is none.
 
-    The search is an inverse iteration, ``K x = D b`` with the diagonal D of K and a vector b without symmetry. Along a
-    null vector of K the solution x grows until ``x . K x / (x . D x)`` is round-off. For every other K that ratio is at
-    least its smallest eigenvalue. A factor that meets a vanishing pivot gives no such solution; then conjugate
-    gradients without that factor search. Conjugate gradients take the place of every other iterative solver too:
-    GMRES, which keeps the residual small, does not let x grow. Tangents of intact bodies are symmetric.
+    The search is an inverse iteration, ``K x = D b``, with the diagonal D of K and a vector b without symmetry. Along a
+    null vector of K the solution x grows until ``x . K x / (x . D x)`` is round-off. For a regular K that ratio is at
+    least its smallest eigenvalue.
+
+    A factor with a vanishing pivot gives no such solution. Conjugate gradients without that factor then repeat the
+    search. They also replace every other iterative solver: GMRES, which minimises the residual, does not let x grow.
+    Tangents of intact bodies are symmetric.
 
     Parameters
     ----------
     tangent : PetscTangent
         K, up to date.
     ksp : KSP
-        The linear solver of the run for K. Only its preconditioner is used.
+        Linear solver of the run for K. Only its preconditioner is used.
     free : (n_rows, dim) bool
         Degrees of freedom that are not prescribed.
     scale : float
-        The stiffness that is 1 in the matrix [force / length].
+        Unit of stiffness in the matrix [force / length].
 
     Notes
     -----
-    Collective. Equilibrium under loads that do not move the mechanism is found whether or not there is one.
+    Collective. Equilibrium under loads that do not move the mechanism can be found even if there is a mechanism.
     """
     ksp.setOperators(tangent.mat, tangent.preconditioner)
     if not set_up_failed(ksp):

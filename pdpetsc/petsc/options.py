@@ -1,4 +1,4 @@
-"""PETSc's options: where they come from, which are in force, and which nothing has used."""
+"""PETSc options: their sources, the options in force, and unused ones."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.library import option_used
 
-# Option that keeps PETSc from reading .petscrc in the home and the working folder.
+# Option that prevents PETSc from reading .petscrc in the home and the working directory.
 SKIP_FILES = "skip_petscrc"
-# Endings of options that are numbers: without a value PETSc passes them over.
+# Endings of options that require a number. PETSc ignores such an option without value.
 NEEDS_NUMBER = re.compile(r"(tol|tolerance|max_it|max_fail|max_funcs|max_linear_solve_fail)$")
-# Beginnings of options that PETSc looks up only when it ends.
+# Beginnings of options that PETSc reads only at its end.
 READ_AT_THE_END = ("log_", "malloc", "memory_view", "objects_", "options_", "on_error", "debug", "start_in_debugger")
 
 
 def refuse_names(chosen: Mapping[str, Any]) -> None:
-    """Raise CaseError for a name that cannot be an option's (not collective; the same on all ranks)."""
+    """Raise CaseError for an invalid option name (not collective; the same on all ranks)."""
     for name in chosen:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*([-.:]\w+)*", name):
             raise CaseError(f"A PETSc option is named without its dash, like 'snes_rtol', not {name!r}.")
 
 
 def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raise CaseError for a file of a viewer or monitor that cannot be made (collective).
+    """Raise CaseError if the output file of a viewer or monitor cannot be written (collective).
 
-    PETSc opens that of -log_view as it ends, on rank 0, and the others would wait for it.
+    PETSc opens the file of -log_view at its end, on rank 0, and the other ranks would wait for it.
     """
     of_files = {}
     for name, option in in_force.items():
@@ -53,7 +53,7 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raise CaseError for values that PETSc takes as if the option were not there, or compares nothing with."""
+    """Raise CaseError for nan, and for a missing value of an option that requires a number."""
     for name, option in in_force.items():
         value = str(option["value"] or "").strip()
         if value.lower().lstrip("+-") == "nan":
@@ -63,16 +63,15 @@ def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 class Options:
-    """PETSc's options of one run, which are in PETSc's database only while the run uses PETSc.
+    """Insert the PETSc options of one run into PETSc's database, while the run uses PETSc.
 
-    What is already there, from the command line or the environment, wins over ``chosen``, which wins over what
-    pdpetsc suggests. Two runs in one process, one after the other, in turns or one inside the other, do not see each
-    other's.
+    Options of the command line and the environment take precedence over ``chosen``, which takes precedence over the
+    defaults of pdpetsc. Several runs in one process, sequential, alternating or nested, have separate options.
 
     Parameters
     ----------
     chosen : mapping
-        What case and caller ask for; a value of None stands for an option without value.
+        Options of case and caller; None for an option without value.
 
     Attributes
     ----------
@@ -84,10 +83,10 @@ class Options:
     Raises
     ------
     CaseError
-        A name cannot be an option's, or a value is no number where one is needed.
+        A name is invalid, or a value is not a number although the option requires one.
     """
 
-    # Those whose options are in the database, the last one for PETSc to see.
+    # Instances whose options are in the database; PETSc uses the last one.
     _active: ClassVar[list[Options]] = []
 
     def __init__(self, chosen: Mapping[str, Any]) -> None:
@@ -100,7 +99,7 @@ class Options:
         self.suggest({})
 
     def suggest(self, defaults: Mapping[str, Any]) -> Options:
-        """Add what pdpetsc suggests, and return them."""
+        """Add defaults of pdpetsc, and return the instance."""
         self._defaults |= defaults
         with self.active():
             self.in_force = self._found()
@@ -109,7 +108,7 @@ class Options:
 
     @contextlib.contextmanager
     def active(self) -> Iterator[None]:
-        """Let PETSc see them in the body (not collective; the same on all ranks)."""
+        """Insert the options for the ``with`` block (not collective; the same on all ranks)."""
         outer = self._active[-1] if self._active else None
         if outer is not None:
             outer._remove()
@@ -124,10 +123,10 @@ class Options:
                 outer._insert()
 
     def unused(self) -> list[str]:
-        """Return the options in force that nothing has looked up (not collective).
+        """Return the options in force that PETSc has not looked up (not collective).
 
-        Those that pdpetsc suggests are not among them, nor those of command line and environment that PETSc reads when
-        it ends: those of a case are gone by then.
+        Defaults of pdpetsc are omitted. Options of the command line and the environment that PETSc reads at its end are
+        omitted too; options of a case are removed before.
         """
         self._note_used()
         return [
@@ -140,7 +139,7 @@ class Options:
 
     def _insert(self) -> None:
         database = PETSc.Options()
-        # Asking for a name would count as its use.
+        # A query for a single name would count as its use.
         there = {name.lower() for name in database.getAll()}
         for name, value in [*self.chosen.items(), *self._defaults.items()]:
             if name.lower() not in there:
@@ -156,7 +155,7 @@ class Options:
         self._inserted.clear()
 
     def _note_used(self) -> None:
-        """Remember what has been looked up: PETSc forgets it with the option."""
+        """Store which options have been looked up, since PETSc forgets it when the option is removed."""
         self._used |= {name for name in self.in_force if option_used(name)}
 
     def _found(self) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Symmetric systems with one number per particle, preconditioned by a sparse matrix that resembles them."""
+"""Symmetric systems with one unknown per particle, preconditioned by a similar sparse matrix."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.petsc.options import Options
 
-# What is added to the diagonal of the preconditioner, as a share of it: its null space has none of its own.
+# Shift of the diagonal of the preconditioner, as a share of it. It removes the null space of the preconditioner.
 LIFTED = 1e-8
 PREFIX = "weights_"
 MULTIGRID = {
     "weights_pc_type": "gamg",
-    # Without it weak couplings along the diagonals of families cost three times as many iterations.
+    # Without the threshold, weak couplings along the diagonals of families cost three times as many iterations.
     "weights_pc_gamg_threshold": 0.02,
     "weights_mg_levels_ksp_max_it": 3,
     "weights_mg_coarse_pc_type": "svd",
@@ -27,67 +27,67 @@ MULTIGRID = {
 FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
 # Largest number of particles for which the near matrix is factored, by dimension.
 DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
-# Iterations at most; a system that takes more has hardly anything to solve for.
+# Largest number of iterations. A system that needs more has almost nothing to solve.
 MOST = 2000
 
 
 class ScalarSystem(Protocol):
-    """A symmetric positive semidefinite system on the particles of a cloud."""
+    """Define a symmetric positive semidefinite system on the particles of a cloud."""
 
     cloud: Cloud
 
     @property
     def null_functions(self) -> Sequence[Float]:
-        """Return the functions on the own particles (n_owned,) that span its null space (collective)."""
+        """Return the functions on the own particles (n_owned,) that span the null space (collective)."""
         ...
 
     def product(self, values: Float) -> Float:
-        """Return the product with numbers of the own particles (n_owned, columns) (collective)."""
+        """Compute the product with values of the own particles (n_owned, columns) (collective)."""
         ...
 
 
 class _Product:
-    """The system as PETSc calls it."""
+    """Provide the system as a PETSc shell matrix."""
 
     def __init__(self, system: ScalarSystem) -> None:
         self._system = system
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the product."""
+        """Compute the product."""
         with y as values:
             values[:] = self._system.product(x.getArray(readonly=True)[:, None])[:, 0]
 
 
 class _Preconditioner:
-    """The cycle of the near matrix alone: PETSc's own would smooth with the system on its finest level."""
+    """Apply the multigrid cycle of the near matrix only. PETSc would smooth with the system on the finest level."""
 
     def __init__(self, inner: PETSc.PC) -> None:
         self._inner = inner
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the cycle's correction."""
+        """Apply one cycle."""
         self._inner.apply(x, y)
 
 
 def solve_scalar(
     system: ScalarSystem, near: scipy.sparse.csr_matrix, rhs: Float, rtol: float, options: Options | None = None
 ) -> tuple[Float, int]:
-    """Return the solutions of a system whose null space are linear functions, and the iterations of all of them.
+    """Solve a system whose null space consists of linear functions; return solutions and total iterations.
 
     Parameters
     ----------
     near : (n_local, n_local) sparse
-        What the rank adds to the matrix that preconditions it, over its particles with ghosts.
+        Contribution of this rank to the preconditioning matrix, over its particles with ghosts.
     rhs : (n_owned, n) float64
-        Right-hand sides, of which every one is solved for.
+        Right-hand sides; each one is solved.
     rtol : float
         Relative tolerance of the residual.
     options : Options, optional
-        Those of the run, which may change the solver; none but the command line's by default.
+        Options of the run, which may change the solver; by default only those of the command line.
 
     Notes
     -----
-    Collective. Whether the solution is good is for the caller to judge.
+    Collective. The caller must check the quality of the solution.
     """
     cloud = system.cloud
     sizes = (cloud.n_owned, cloud.n_global)
@@ -133,10 +133,10 @@ def solve_scalar(
 
 
 def assembled(cloud: Cloud, near: scipy.sparse.csr_matrix, lifted: float = LIFTED) -> PETSc.Mat:
-    """Return the sum over ranks of what each adds, its diagonal lifted by a share of it (collective)."""
+    """Assemble the sum of the contributions of all ranks, with a diagonal shifted by ``lifted`` (collective)."""
     sizes = (cloud.n_owned, cloud.n_global)
     entries = near.tocoo()
-    # Rows of a cloud count its particles first, in the order of ranks.
+    # Rows of a cloud number its particles first, in the order of ranks.
     rows, columns = cloud.row[entries.row], cloud.row[entries.col]
     firsts = np.array(cloud.comm.allgather(cloud.first))
     owner = np.searchsorted(firsts, rows, side="right") - 1
@@ -159,7 +159,7 @@ def assembled(cloud: Cloud, near: scipy.sparse.csr_matrix, lifted: float = LIFTE
 
 
 def _orthonormal(cloud: Cloud, functions: Sequence[Float]) -> list[PETSc.Vec]:
-    """Return an orthonormal basis of functions on the own particles (n_owned,).
+    """Compute an orthonormal basis of functions on the own particles (n_owned,).
 
     Notes
     -----

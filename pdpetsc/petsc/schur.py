@@ -1,4 +1,4 @@
-"""The Schur complement of conditions on a displacement, by two solves with a matrix of the conditions alone."""
+"""Schur complement of constraints on a displacement, by two solves with a matrix of the constraints only."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from pdpetsc.gradient.products import ConstraintProduct
 from pdpetsc.kernels.near import reach_kernel
 from pdpetsc.problem.body import Body
 
-# Largest number of conditions of all ranks whose matrix is factored, by dimension; more have the diagonal.
+# Largest number of constraints on all ranks whose matrix is factored, by dimension; otherwise the diagonal is used.
 DIRECT = {1: 10**6, 2: 250_000, 3: 40_000}
-# Bonds up to this many times as long as the 2 dim-th shortest of a family stand for all of it.
+# Bonds up to this multiple of the length of the 2 dim-th shortest bond represent the whole family.
 NEAR = 1.6
-# A condition whose compliance is this share of that of what is soft hardly counts.
+# A constraint whose compliance is this share of the soft compliance hardly matters.
 STIFF = 0.1
-# What is added to the diagonal of the matrix of the conditions, as a share of it and of its largest entry.
+# Shift of the diagonal of the matrix of constraints, as a share of the diagonal and of its largest entry.
 LIFTED, LEAST = 1e-3, 1e-14
 
 
 class SchurComplement:
-    """``S = C + B K_0^-1 B^T`` by least squares: ``S^-1 = t L^-1 H L^-1 t + (C + q)^-1``.
+    """Approximate ``S = C + B K_0^-1 B^T`` by least squares: ``S^-1 = t L^-1 H L^-1 t + (C + q)^-1``.
 
-    With the inverse D of the diagonal of ``K_0``, 0 where unknowns are prescribed::
+    With the inverse D of the diagonal of ``K_0``, 0 for prescribed unknowns::
 
         L = B D B^T,   H = B D K D B^T,   t^2 = 1 / (1 + 10 C / q)
 
-    where K has the diagonal of ``K_0`` and couples each particle with its nearest neighbours alone. Pressures that
-    change from patch to patch push little and those that do not are resisted by little: both are in L and in H, and
-    not in a diagonal. q is the compliance of what resists a condition softly; the last part is there for conditions
-    that push nothing, and for those with a compliance.
+    K has the diagonal of ``K_0`` and couples each particle with its nearest neighbours only. q is the compliance of the
+    soft resistance to a constraint. Pressures that change from patch to patch cause small forces; uniform ones meet
+    little resistance. L and H represent both effects, a diagonal does not. The last part is for constraints that cause
+    no force, and for constraints with a compliance.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     constraints : ConstraintProduct
-        The conditions.
+        The constraints.
     compliance, soft : (n_conditions,) float64
         C and q.
     diagonal : (n_owned, dim) float64
-        That of ``K_0``.
+        Diagonal of ``K_0``.
     free : (n_owned, dim) bool
         Unknowns that are not prescribed.
 
@@ -53,7 +53,7 @@ class SchurComplement:
 
     References
     ----------
-    Elman2006, who approximate the Schur complement of the Navier-Stokes equations so.
+    Elman2006 approximate the Schur complement of the Navier-Stokes equations in this way.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class SchurComplement:
         self._ksp.setFromOptions()
 
     def solve(self, values: Float) -> Float:
-        """Return ``S^-1`` times values of the own conditions (n_conditions,)."""
+        """Compute ``S^-1`` times values of the own constraints (n_conditions,)."""
         x, y = self._x, self._y
         x.setArray(self._turn * values)
         self._ksp.solve(x, y)
@@ -116,7 +116,7 @@ class SchurComplement:
 
 
 def _rows_of(body: Body) -> GlobalIndex:
-    """Return the number of each local particle in the order of ranks (n_local,) (collective)."""
+    """Return the global number of each local particle, in the order of ranks (n_local,) (collective)."""
     cloud = body.cloud
     number = np.zeros((cloud.n_local, 1))
     number[: cloud.n_owned, 0] = cloud.first + np.arange(cloud.n_owned)
@@ -128,7 +128,7 @@ def _matrix(
     comm: PETSc.Comm, n_rows: int, width: tuple[int, int], dim: int, rows: GlobalIndex, columns: GlobalIndex,
     values: Float,
 ) -> PETSc.Mat:  # fmt: skip
-    """Return a matrix with ``values`` (n_entries, dim) at own rows and the unknowns of columns (collective)."""
+    """Build a matrix with ``values`` (n_entries, dim) at own rows and the unknowns of columns (collective)."""
     at = (columns[:, None] * dim + np.arange(dim)).ravel()
     found = scipy.sparse.csr_array(
         scipy.sparse.coo_array((values.ravel(), (np.repeat(rows, dim), at)), shape=(n_rows, width[1]))
@@ -139,7 +139,7 @@ def _matrix(
 def _of_rows(
     comm: PETSc.Comm, rows: scipy.sparse.csr_array, size: tuple[int, int | None], width: tuple[int, int]
 ) -> PETSc.Mat:
-    """Return a matrix of the rows that each rank has (collective)."""
+    """Build a matrix from the rows of each rank (collective)."""
     rows.sum_duplicates()
     rows.sort_indices()
     csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data
@@ -147,13 +147,13 @@ def _of_rows(
 
 
 def _near(body: Body, columns: GlobalIndex, held: Float, width: tuple[int, int]) -> PETSc.Mat:
-    """Return K: springs between nearest neighbours, the same along all axes, with the given diagonal (collective)."""
+    """Build K from springs between nearest neighbours, equal along all axes, with the given diagonal (collective)."""
     cloud, families, dim = body.cloud, body.families, body.dim
     n = cloud.n_owned
     reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
     reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    # Both ends of a bond must find it short.
+    # Both ends of a bond must count it as short.
     far = np.zeros((cloud.n_local, 1))
     far[:n, 0] = NEAR * reach
     cloud.halo.forward(far)

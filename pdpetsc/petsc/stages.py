@@ -1,4 +1,4 @@
-"""Stages of a run, by which ``-log_view`` breaks down times, flops and messages."""
+"""Stages of a run, by which ``-log_view`` groups times, flops and messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _stage(name: str) -> PETSc.LogStage:
 
 @contextlib.contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count what happens in the body in a stage of its own (not collective)."""
+    """Count the events of the ``with`` block in a separate stage (not collective)."""
     of = _stage(name)
     of.push()
     try:

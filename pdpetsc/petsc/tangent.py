@@ -1,4 +1,4 @@
-"""What solvers ask of a tangent in PETSc, assembled or not."""
+"""Interface of a tangent in PETSc, assembled or matrix-free."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pdpetsc.problem.state import State
 
 
 class PetscTangent(ABC):
-    """The tangent of a body with prescribed degrees of freedom, and the matrix that its preconditioner is made from.
+    """Represent the tangent of a body with prescribed degrees of freedom, and its preconditioning matrix.
 
     Attributes
     ----------
     mat : Mat
         The tangent.
     preconditioner : Mat
-        What the preconditioner is made from; the tangent itself where it is assembled.
+        The preconditioning matrix; the tangent itself if assembled.
     diagonal : (n_rows * dim,) float64
-        Its diagonal, or an estimate of it [force / length].
+        Diagonal of the tangent, or an estimate of it [force / length].
 
     Notes
     -----
@@ -33,29 +33,29 @@ class PetscTangent(ABC):
 
     @abstractmethod
     def update(self, state: State, effort: float | None = None) -> None:
-        """Make it K at a state.
+        """Update to K at a state.
 
-        ``effort`` is what the last linear solve with it took [iterations per digit]: the matrix of the preconditioner
-        may stay as it is while that does not grow. Without ``effort`` that matrix is made anew.
+        ``effort`` is the effort of the last linear solve with it [iterations per digit]. The preconditioning matrix may
+        be kept while the effort does not grow. Without ``effort`` it is rebuilt.
         """
 
     @abstractmethod
     def renew(self) -> bool:
-        """Follow bonds that have broken or mended; return whether ``preconditioner`` is another one now."""
+        """Update after bonds have broken or mended; return True if ``preconditioner`` was replaced."""
 
     def equip(self, ksp: PETSc.KSP) -> None:  # noqa: B027
-        """Give a linear solver, whose options are set, what options alone do not: levels of multigrid.
+        """Set properties of a linear solver that options cannot set, such as levels of multigrid.
 
-        To be called again where ``renew`` returned True.
+        Its options must be set before. Call it again if ``renew`` returned True.
         """
 
     @abstractmethod
     def holds(self) -> bool:
-        """Return whether the problem has not changed since ``update``, at whatever displacement (not collective)."""
+        """Return True if the problem has not changed since ``update``, at any displacement (not collective)."""
 
     @abstractmethod
     def forget(self) -> None:
-        """Let the next ``update`` make it anew: its displacement was given up (not collective)."""
+        """Force the next ``update`` to rebuild the tangent, since its displacement was rejected (not collective)."""
 
     @property
     @abstractmethod

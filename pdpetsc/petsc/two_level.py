@@ -1,4 +1,4 @@
-"""Two-level preconditioner of a tangent without a matrix: its own diagonal blocks, and a grid one horizon wide."""
+"""Two-level preconditioner of a matrix-free tangent: its diagonal blocks, and a grid one horizon wide."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pdpetsc.problem.background_grid import BackgroundGrid
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 
-# Largest number of coarse unknowns for which they are solved for directly, by dimension.
+# Largest number of coarse unknowns that are solved directly, by dimension.
 DIRECT_COARSE = {1: 10**6, 2: 20_000, 3: 12_000}
-# Least eigenvalue of a diagonal block over a typical one.
+# Smallest eigenvalue of a diagonal block over a typical one.
 LEAST = 1e-12
-# Whether a level smooths within bounds that were estimated.
+# Smoothers that use estimated bounds.
 BOUNDED = ("chebyshev",)
 
 
 class TwoLevel(Preconditioning):
-    """PETSc's multigrid of two levels: diagonal blocks of the tangent, and linear elements on a background grid.
+    """Provide PETSc's multigrid with two levels: diagonal blocks of the tangent, and a background grid.
 
-    A nonlocal operator resists all waves shorter than about two horizons alike, so that its diagonal blocks are as good
-    as any smoother there, and the rest is a matter of a grid whose cells are one horizon wide.
+    A nonlocal operator resists all waves shorter than about two horizons alike, so that diagonal blocks are as good as
+    any smoother for them. A grid of linear elements with cells one horizon wide resolves the longer waves.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ class TwoLevel(Preconditioning):
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        The stiffness that is 1 in the matrices [force / length].
+        Unit of stiffness in the matrices [force / length].
 
     Attributes
     ----------
     coarse : Mat
-        The matrix of the nodes.
+        Matrix of the nodes.
     """
 
     def __init__(self, grid: BackgroundGrid, fixed: Mask, scale: float) -> None:
@@ -95,12 +95,12 @@ class TwoLevel(Preconditioning):
         return whole
 
     def renewed(self) -> Preconditioning:
-        """Return that of the pieces that bonds hold together now."""
+        """Build a new preconditioner for the current fragments."""
         self.destroy()
         return TwoLevel(BackgroundGrid(self._problem), self._fixed, self._scale)
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
-        """Give multigrid its two levels; raises CaseError where options ask for another number of them."""
+        """Set up the two levels of multigrid. Raise CaseError if options request another number of levels."""
         pc = ksp.getPC()
         if pc.getType() != "mg":
             return
@@ -144,14 +144,14 @@ class TwoLevel(Preconditioning):
 
 
 def predicted_bytes_of(grid: BackgroundGrid) -> int:
-    """Return the memory of the entries of the matrices that are made on a grid, over all ranks [bytes] (collective)."""
+    """Estimate the memory of the matrix entries of a grid over all ranks [bytes] (collective)."""
     cloud, dim = grid.problem.body.cloud, grid.problem.dim
     entries = grid.n_entries + cloud.n_rows * dim**2
     return int(total(cloud.comm, entries)) * (8 + np.dtype(PETSc.IntType).itemsize)
 
 
 class _Interpolation:
-    """Unknowns that move with the nodes of a grid, and forces on the nodes, as PETSc asks for them."""
+    """Provide interpolation from nodes to unknowns, and its transpose, as a PETSc shell matrix."""
 
     def __init__(self, grid: BackgroundGrid, coarse: PETSc.Mat) -> None:
         self._grid, self._dim = grid, grid.problem.dim
@@ -164,25 +164,25 @@ class _Interpolation:
         rows.destroy()
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the unknowns for displacements of the nodes."""
+        """Interpolate displacements of the nodes to the unknowns."""
         self._scatter.scatter(x, self._nodal, False, PETSc.ScatterMode.FORWARD)
         y.setArray(self._grid.interpolate(self._nodal.array_r.reshape(-1, self._dim)).ravel())
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the forces on the nodes for those on the unknowns."""
+        """Restrict forces on the unknowns to the nodes."""
         f = x.array_r.reshape(-1, self._dim)
         self._nodal.setArray(self._grid.restrict(f).ravel())
         y.set(0.0)
         self._scatter.scatter(self._nodal, y, True, PETSc.ScatterMode.REVERSE)
 
     def destroy(self, mat: PETSc.Mat) -> None:
-        """Free the PETSc objects; PETSc calls it with the last use of the matrix."""
+        """Free the PETSc objects; called by PETSc with the last use of the matrix."""
         self._scatter.destroy()
         self._nodal.destroy()
 
 
 def _block_diagonal(problem: Problem) -> PETSc.Mat:
-    """Return an AIJ matrix with blocks on its diagonal alone (collective)."""
+    """Build an AIJ matrix with blocks on its diagonal only (collective)."""
     cloud, dim = problem.body.cloud, problem.dim
     size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
     mat = PETSc.Mat().create(comm=cloud.comm)
@@ -193,7 +193,7 @@ def _block_diagonal(problem: Problem) -> PETSc.Mat:
 
 
 def _blocks_of_virtual(tangent: Tangent) -> Float:
-    """Return what couples each row of virtual unknowns to itself (n_virtual, dim, dim) (collective)."""
+    """Return the diagonal block of each row of virtual unknowns (n_virtual, dim, dim) (collective)."""
     cloud, dim = tangent.body.cloud, tangent.body.dim
     blocks = np.zeros((cloud.n_virtual, dim, dim))
     for v, c, column in tangent.columns_of_virtual():
@@ -203,7 +203,7 @@ def _blocks_of_virtual(tangent: Tangent) -> Float:
 
 
 def _attach_modes(mat: PETSc.Mat, modes: Float) -> None:
-    """Give a matrix its near-null space from rigid motions of its rows (n, dim, modes) (collective)."""
+    """Set the near-null space of a matrix from rigid motions of its rows (n, dim, modes) (collective)."""
     basis: list[PETSc.Vec] = []
     for m in range(modes.shape[2]):
         vec = mat.createVecLeft()

@@ -1,1 +1,1 @@
-"""What a solution gives: fields on particles, and numbers of interest for the history."""
+"""Post-processing of a solution: fields on particles, and quantities of interest for the history."""

@@ -1,4 +1,4 @@
-"""What is left of the bonds between particles: whole, damaged, broken, or cut from the start."""
+"""The state of bonds between particles: intact, damaged, broken, or cut by a pre-crack."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from pdpetsc.post.solution import Solution
 
 
 def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float, Mask]:
-    """Return the pairs of some own particles with those in their reach, and what is left of their bonds.
+    """Return the pairs of owned particles with those in their local horizon, and the state of their bonds.
 
     Parameters
     ----------
     solution : Solution
         A state.
     zone : (n,) int64
-        Own particles.
+        Owned particles.
 
     Returns
     -------
     pairs : (n_pairs, 2) int64
-        A particle of the zone, and a local one within its reach.
+        A particle of the zone, and a local one within its local horizon.
     left : (n_pairs,) float64
-        Degradation factor of the bond [-]: 1 whole, 0 broken or cut by a crack.
+        Degradation factor of the bond [-]: 1 intact, 0 broken or cut by a pre-crack.
     bonded : (n_pairs,) bool
-        Which pairs had a bond in the beginning: the others have been cut from the start.
+        True for pairs with a bond at the start; pre-cracks have cut the others.
 
     Notes
     -----
@@ -59,7 +59,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
 
 
 def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
-    """Return both ends of the bonds of some own particles, and their degradation factor (n,) [-]."""
+    """Return both ends of the bonds of owned particles, and their degradation factors (n,) [-]."""
     families, damage = solution.problem.body.families, solution.problem.bond_damage
     lattice = families.lattice
     if lattice is not None:

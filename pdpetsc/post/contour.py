@@ -1,4 +1,4 @@
-"""The domain of an integral about a crack tip: its weight, its particles, and what must not be in it."""
+"""The domain of an integral about a crack tip: its weight, its particles, and its requirements."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from pdpetsc.post.inhomogeneity import of_place, plane_tensors, singular, slope_
 from pdpetsc.post.integrands import Continuum, integrands_of
 from pdpetsc.post.solution import Solution
 
-# Sums over the cells of the particles give the integral of the weight, and of its slope, up to this share; and the
-# integral of its gradient, which is zero, up to the second one.
+# Tolerances of the sums over cells: of the integrals of the weight and of its slope, and of the integral of its
+# gradient, which is zero.
 FILLED, CLOSED = 0.03, 0.01
-# Least number of particles between the two radii.
+# Smallest number of particles between the two radii.
 LEAST = 24
-# A crack runs through the domain where at least this share of the bonds that cross its line there are gone.
+# A crack crosses the domain if at least this share of the bonds across its line there is broken or cut.
 CUT = 0.5
-# Tractions on faces change along a crack by less than this share from one half of the radius to the other.
+# Uniform tractions on faces differ by less than this share between both halves of the radius.
 UNIFORM = 0.1
-# Densities within so many horizons of a tip, at most this share of the outer radius, follow from those up to so many
-# times further out, integrated with so many points: near by, where slopes of moduli and strains are bounded and change
-# in their own way; over more particles, where those of a temperature are singular too.
+# Densities within so many horizons of a tip, at most this share of the outer radius, are extrapolated from densities up
+# to so many times further out, integrated with so many points: from nearby for bounded slopes of moduli and strains,
+# and from more particles for singular slopes of a temperature.
 CORE, CORE_MOST, FURTHER, FURTHER_BY_HEAT, GAUSS = 2.0, 0.5, 2.0, 4.0, 12
-# What follows differs from the sum of the densities there by less than this share of the number that it is part of, or
-# of this share of the sum of their sizes where the number is small beside that: the rest is too much to be guessed.
+# The extrapolation must differ from the sum of the densities there by less than this share of the whole number, or of
+# this share of the sum of absolute values if the number is small relative to it. Otherwise it is not accurate enough.
 GUESSED, CANCELS = 0.15, 0.1
-# They are expanded in these powers of the distance.
+# Densities are expanded in these powers of the distance.
 POWERS = np.array([0.0, 1.0, 2.0])
-# Loads beside the crack are body forces as elsewhere where they are at most this many times as dense.
+# Loads beside the crack are body forces if they are at most this many times as dense as elsewhere.
 MIXED = 2.0
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A crack tip, or its image behind mirror planes, as the own particles see it.
+    """A crack tip or its mirror image, in the coordinates of owned particles.
 
     Attributes
     ----------
     tip : (2,) float64
         [length]
     turn : (2, 2) float64
-        Rows are the direction in which the crack grows and the normal of the crack, both unit vectors.
+        Rows are the growth direction and the normal of the crack, both unit vectors.
     """
 
     tip: Float
@@ -63,7 +63,7 @@ class Frame:
 
 
 def frames(cloud: Cloud, tip: Float, direction: Sequence[float]) -> list[Frame]:
-    """Return a crack tip and its images: sums over own particles about all of them are sums over the whole body."""
+    """Return a crack tip and its images: sums over owned particles about all of them are sums over the whole body."""
     along = np.asarray(direction, dtype=float)
     along = along / np.linalg.norm(along)
     turn = np.array([along, [-along[1], along[0]]])
@@ -74,8 +74,8 @@ def weight(x: Float, inner: float, outer: float, tilt: float = 0.0) -> tuple[Flo
     """Return the weight q (n,) [-] at positions x (n, 2) from the tip, and its gradient (n, 2) [1 / length].
 
     q is 1 up to the inner radius and 0 beyond the outer one, ``1 - 3 s^2 + 2 s^3`` between them: its gradient is
-    continuous, which sums over particles integrate better than a jump. A tilt t of -1 to 1 takes ``3 t s^2 (1 - s)^2``
-    from it: with 1 it falls mostly in the inner half, with -1 in the outer one.
+    continuous, so that sums over particles are more accurate. A tilt t of -1 to 1 subtracts ``3 t s^2 (1 - s)^2``: for
+    1 it decreases mostly in the inner half, for -1 in the outer half.
     """
     r = np.linalg.norm(x, axis=1)
     s = np.clip((r - inner) / (outer - inner), 0.0, 1.0)
@@ -85,26 +85,26 @@ def weight(x: Float, inner: float, outer: float, tilt: float = 0.0) -> tuple[Flo
 
 
 def continuum(solution: Solution) -> Continuum:
-    """Return gradient, stress and energy-momentum tensor of the own particles (collective).
+    """Return gradient, stress and energy-momentum tensor of the owned particles (collective).
 
-    At gradient points each is computed at the points and summed with their volumes, over the volume of the particle;
-    a body of bonds gives the gradient that fits its families best, and their stress and energy density.
+    For gradient points they are volume-weighted means over the points of a particle. For bodies of bonds they are the
+    gradient of best fit of each family, and its stress and energy density.
     """
     return solution.state.kept("continuum", integrands_of(solution).continuum)
 
 
 @dataclass(frozen=True)
 class Integral:
-    """The integral of a density that is not known next to a crack tip, in two ways.
+    """Two estimates of the integral of a density that is inaccurate next to a crack tip.
 
     Attributes
     ----------
     value : float
-        What is taken: what follows from the density further out, or from the work done on what is about the tip.
+        The estimate used: by extrapolation of the density, or from the work done on the material about the tip.
     plain : float
-        The other one: the sum of the density over all particles.
+        The other estimate: the sum of the density over all particles.
     size : float
-        Sum of the size of the slope that it is a component of.
+        Sum of the magnitudes of the slope of which it is a component.
     """
 
     value: float
@@ -113,11 +113,11 @@ class Integral:
 
     @property
     def summed(self) -> Integral:
-        """Return the integral by the sum, in the place of what follows from the density further out."""
+        """Return the integral with the sum as its value, instead of the extrapolation."""
         return Integral(self.plain, self.value, self.size)
 
     def trouble(self, whole: float, part: float) -> str:
-        """Return why it is not known well enough in a number ``whole`` that has ``part`` of it (not collective)."""
+        """Return why the integral is too inaccurate for a number ``whole`` with ``part`` of it (not collective)."""
         guessed = abs(part * (self.value - self.plain))
         if not guessed > GUESSED * max(abs(whole), CANCELS * abs(part) * self.size):
             return ""
@@ -129,26 +129,26 @@ class Integral:
 
 @dataclass(frozen=True)
 class Domain:
-    """The particles about a crack tip over which a quantity is summed.
+    """The particles about a crack tip in the domain of an integral.
 
     Attributes
     ----------
     frames : list of Frame
         The tip and its images behind mirror planes.
     inner, outer : float
-        Where the weight begins to fall, and where it is zero [length].
+        Radii at which the weight begins to decrease, and is zero [length].
     area : (n_owned,) float64
-        Of the cell of each own particle [area].
+        Area of the cell of each owned particle [area].
     filled, falls : float
-        Sums of the weight and of the size of its gradient over the cells, over their integrals [-].
+        Sums of the weight and of the magnitude of its gradient over the cells, over their integrals [-].
     closed : (2,) float64
-        Sum of its gradient over the cells [length], whose integral is zero.
+        Sum of its gradient over the cells [length]; the integral is zero.
     ring : float
         Area of the cells between the radii.
     count : int
-        Particles there.
+        Number of particles between the radii.
     tilt : float
-        Where between the radii the weight mostly falls, from -1 to 1 (``weight``).
+        Tilt of the weight, from -1 to 1 (``weight``).
     """
 
     frames: list[Frame]
@@ -166,7 +166,7 @@ class Domain:
     def of(
         cls, solution: Solution, tip: Float, direction: Sequence[float], inner: float, outer: float, tilt: float = 0.0
     ) -> Domain:
-        """Return the domain about a tip, with a weight that may be tilted (collective)."""
+        """Return the domain about a tip, with an optional tilt of the weight (collective)."""
         area = solution.volume / solution.problem.body.thickness
         about, sums = frames(solution.cloud, tip, direction), np.zeros(6)
         for frame in about:
@@ -181,10 +181,10 @@ class Domain:
         return cls(about, inner, outer, area, filled, falls, np.array(closed), float(ring), int(count), tilt)
 
     def weight(self, frame: Frame, x: Float) -> tuple[Float, Float]:
-        """Return the weight q (n,) [-] of own particles and its gradient (n, 2) by the axes of a frame [1 / length].
+        """Return the weight q (n,) [-] of owned particles and its gradient (n, 2) in a frame [1 / length].
 
-        Sums of the gradient over the cells are made zero as its integral is: the momentum of a uniform state then gives
-        nothing, to round-off.
+        The gradient is corrected so that its sum over the cells is zero, as its integral is. A uniform state then
+        contributes zero to round-off.
         """
         q, slope = weight(frame.at(x), self.inner, self.outer, self.tilt)
         falling = slope.any(axis=1)
@@ -194,12 +194,12 @@ class Domain:
     def integral(self, solution: Solution, slopes: Sequence[Float]) -> Integral:
         """Return ``int q rho dA`` of the first columns of densities (n_owned, 2), which grow as 1 / r at most.
 
-        One is given for each frame, by its axes: along the crack and across it. It is the sum over the particles, which
-        is what the energy of this body changes by as the crack grows, as long as the slopes that the densities have are
-        resolved. Those of a temperature next to a tip that heat flows round are not; what lies within some horizons of
-        it, a share h / R of the whole, follows there from the densities further out: ``2 pi r`` times the mean round a
-        circle is fitted by ``a + b r + c r^2``, the leading powers of products of two fields with square roots, of one
-        symmetry. Collective.
+        There is one density per frame, with components along and across the crack. If the slopes of the densities are
+        resolved, the integral is the sum over the particles: the change of the energy of the body as the crack grows.
+        Slopes of a temperature are not resolved next to a tip with heat flow around it. There the part within some
+        horizons, a share h / R of the whole, is extrapolated from the densities further out: ``2 pi r`` times the mean
+        around a circle is fitted by ``a + b r + c r^2``, the leading powers of products of two square-root fields of
+        one symmetry. Collective.
         """
         reach = solution.cloud.local_horizon[: len(solution.x)][self.near(solution.x)]
         start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
@@ -227,7 +227,7 @@ class Domain:
         return found if follows else found.summed
 
     def at_tip(self, solution: Solution, values: Float) -> float:
-        """Return what a smooth positive number of the local particles (n_local,) is at the tip (collective).
+        """Extrapolate a smooth positive number of the local particles (n_local,) to the tip (collective).
 
         Its logarithm is fitted by a quadratic over the particles within the inner radius.
         """
@@ -245,10 +245,10 @@ class Domain:
     def of_energy(self, solution: Solution) -> Integral:
         """Return ``int q g . e psi dA`` of the energy density psi, with the slopes g of moduli graded by place.
 
-        Next to the tip the energy density is not that of a continuum. With ``w = q g . e``, which does not change
-        there as fast, equilibrium makes it ``1/2 int (w tr(psi I - H^T P) - w,m P_im (u - u_0)_i + w f . (u - u_0))
-        dA`` of loads f, where the trace is zero in linear bodies without strain of their own, and ``u_0`` is the mean
-        displacement: the work done on the matter about the tip. No density is singular there. Collective.
+        Next to the tip the energy density is not that of a continuum. With the smoother ``w = q g . e``, equilibrium
+        transforms the integral into ``1/2 int (w tr(psi I - H^T P) - w,m P_im (u - u_0)_i + w f . (u - u_0)) dA`` with
+        loads f and the mean displacement ``u_0``. The trace is zero in linear bodies without eigenstrain. This is the
+        work done on the material about the tip; no density in it is singular. Collective.
         """
         fields, (g, bend) = continuum(solution), slope_of_grading(solution)
         thickness, free = solution.problem.body.thickness, of_place(solution).strain
@@ -270,12 +270,12 @@ class Domain:
         return Integral(value, plain, size)
 
     def between(self, at: Float) -> Mask:
-        """Return which positions (n, 2) from a tip are between the radii (n,)."""
+        """Return True for positions (n, 2) from a tip between the radii (n,)."""
         r = np.linalg.norm(at, axis=1)
         return np.asarray((r > self.inner) & (r < self.outer))
 
     def near(self, x: Float) -> Mask:
-        """Return which positions (n, dim) are inside about any of the frames (n,)."""
+        """Return True for positions (n, dim) inside the domain of any frame (n,)."""
         found = np.zeros(len(x), dtype=bool)
         for frame in self.frames:
             found |= np.linalg.norm(frame.at(x), axis=1) < self.outer
@@ -283,10 +283,10 @@ class Domain:
 
 
 def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
-    """Return why a sum over a domain would be no integral about one crack tip, in words after "it"; empty where none.
+    """Return why a domain is invalid for one crack tip, in words after "it"; empty if it is valid.
 
-    The crack may be a spacing off its line; one that ``runs`` breaks bonds within a horizon of it. The same on all
-    ranks (collective).
+    The crack may be a spacing off its line. A crack that ``runs`` breaks bonds within a horizon of the line. Equal on
+    all ranks (collective).
     """
     inner, outer = domain.inner, domain.outer
     cloud = solution.cloud
@@ -315,7 +315,7 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
 
 
 def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
-    """Return what is wrong with the bonds that are gone in a domain (collective)."""
+    """Return why the broken and cut bonds in a domain are not one crack (collective)."""
     stray, crossing, cut, gone, places = 0, 0, 0, 0, list[tuple[float, ...]]()
     for frame in domain.frames:
         reach = solution.cloud.local_horizon[: solution.cloud.n_owned]
@@ -330,7 +330,7 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
         beside = (np.minimum(a[:, 1], b[:, 1]) <= off) & (np.maximum(a[:, 1], b[:, 1]) >= -off)
         wrong = np.flatnonzero(between & (left < 1.0) & ~(beside & (through[:, 0] <= off)))
         stray += len(wrong)
-        # The one nearest to the tip is named; its digits are cut, so that it is the same from both ends of a bond.
+        # The message has the one nearest to the tip; its digits are cut, so that both ends of a bond agree.
         size = np.round(np.linalg.norm(through[wrong], axis=1), 9 - int(np.log10(domain.outer)))
         at = np.round(frame.tip + through[wrong] @ frame.turn, 9 - int(np.log10(domain.outer)))
         places += sorted(zip(size.tolist(), *at.T.tolist(), strict=True))[:1]
@@ -355,18 +355,17 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
 
 
 def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
-    """Return whether all loads in a domain act beside the crack, and why they cannot be taken into account, if so.
+    """Return True if all loads in a domain act beside the crack, and the reason if loads cannot be included.
 
-    Tractions on the faces have to be uniform along the crack: what they do is integrated by parts then, which needs the
-    jump of the displacement far from the tip alone, and not its gradient at the tip. The same on all ranks.
-    Collective.
+    Tractions on the faces must be uniform along the crack. Their contribution is integrated by parts: it requires only
+    the jump of the displacement far from the tip, not its gradient at the tip. Equal on all ranks. Collective.
     """
     force, found = loads(solution), np.zeros(5)
     waves, cloud = np.zeros((2, 2, 2)), solution.cloud
     for frame in domain.frames:
         at, f = frame.at(solution.x), force @ frame.turn.T
         inside = np.linalg.norm(at, axis=1) < domain.outer
-        # A facet spreads its load over the family of the particle behind it.
+        # A facet distributes its load over the family of the particle behind it.
         band = 1.5 * cloud.local_horizon[: len(at)]
         near = inside & (np.abs(at[:, 1]) <= band)
         size = np.linalg.norm(f, axis=1)
@@ -391,19 +390,19 @@ def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
 
 
 def loads(solution: Solution) -> Float:
-    """Return the forces of loads on the own particles (n_owned, dim) [force] (collective)."""
+    """Return the forces of loads on the owned particles (n_owned, dim) [force] (collective)."""
     state = solution.state
     return state.kept("loads", lambda: solution.problem.external_force(state)[: len(solution.x)])
 
 
 def materials_in(solution: Solution, inside: Mask) -> list[int]:
-    """Return the numbers of the materials of some own particles (n_owned,); the same on all ranks (collective)."""
+    """Return the numbers of the materials of owned particles (n_owned,) selected; equal on all ranks (collective)."""
     numbers, _ = integrands_of(solution).materials()
     count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(float(numbers.max())))))
     return [int(number) for number in np.flatnonzero(count)]
 
 
 def refuse(who: str, why: str) -> None:
-    """Raise CaseError where there is a reason (the same on all ranks)."""
+    """Raise CaseError if there is a reason; it is equal on all ranks."""
     if why:
         raise CaseError(f"The domain of {who} {why}.")

@@ -19,16 +19,16 @@ from pdpetsc.post.quantities import EVERYWHERE, Quantity
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.body import Body
 
-# Faces smaller than this share of volume over distance are corners of four and more cells of a lattice; of larger ones
-# than the second multiple the cell has no end, as at the surface.
+# Faces smaller than this share of volume over distance are corners of four or more cells of a lattice. Cells with faces
+# larger than the second multiple are unbounded, as at the surface.
 LEAST_FACE, LARGEST_FACE = 1e-3, 2.0
-# Ends of faces this near to each other, as a share of the distance of the particles, are one.
+# Ends of faces this near to each other, as a share of the distance of the particles, coincide.
 SAME_POINT = 0.05
 
 
 @dataclass(frozen=True)
 class CrackFaces:
-    """The faces between the cells of neighbouring particles whose bond is broken, of all ranks, each once.
+    """Faces between the cells of neighbouring particles with a broken bond, of all ranks, each once.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class CrackFaces:
 
     @cached_property
     def nodes(self) -> GlobalIndex:
-        """Return a number for every corner, of one face after the other: the same for corners that coincide."""
+        """Return a number for every corner, face by face; equal for corners that coincide."""
         if not len(self):
             return np.empty(0, dtype=np.int64)
         points = np.concatenate(self.corners)
@@ -66,7 +66,7 @@ class CrackFaces:
 
     @cached_property
     def piece(self) -> GlobalIndex:
-        """Return a number for every face: the same for faces that corners connect."""
+        """Return a number for every face; equal for faces connected by corners."""
         of = np.repeat(np.arange(len(self)), [len(corners) for corners in self.corners])
         size = len(self) + 1 + int(self.nodes.max(initial=-1))
         links = scipy.sparse.coo_matrix((np.ones(len(of)), (of, len(self) + self.nodes)), shape=(size, size))
@@ -75,11 +75,11 @@ class CrackFaces:
         )
 
     def smooth_area(self, radius: float) -> Float:
-        """Return the areas as seen along the normal of the crack (n,).
+        """Return the areas projected along the normal of the crack (n,).
 
-        A slanted crack runs over the steps of a lattice, and the sum of the faces does not tend to its area. The normal
-        of the crack is that of the plane, or line, that fits the middles of the faces best that are within a radius and
-        connected with this one.
+        An inclined crack follows the steps of a lattice, and the sum of the faces does not converge to its area. The
+        normal of the crack is that of the plane or line of best fit to the middles of the connected faces within a
+        radius.
         """
         if not len(self):
             return np.empty(0)
@@ -90,32 +90,32 @@ class CrackFaces:
             apart = self.middle[members] - self.middle[members].mean(axis=0)
             moments = (self.area[members, None] * apart).T @ apart
             size, axes = np.linalg.eigh(moments)
-            # One face, or a line of them in space, has no plane but its own.
+            # A single face, or a line of faces in space, has its own plane.
             if size[1] > 1e-6 * radius**2 * self.area[face]:
                 seen[face] *= abs(float(axes[:, 0] @ self.normal[face]))
         return seen
 
 
 def crack_faces(solution: Solution, region: Region = EVERYWHERE, precracks: bool = False) -> CrackFaces:
-    """Return the faces of a crack: of neighbouring particles, in the sense of Voronoi, whose bond is broken.
+    """Return the faces of cracks: between Voronoi neighbours with a broken bond.
 
     Parameters
     ----------
     solution : Solution
         A state.
     region : Region
-        Where: a face counts where either of its particles is.
+        Region of the faces; one of the two particles must be in it.
     precracks : bool
-        Whether faces that cracks of the case cut from the start count too.
+        If True, include faces cut by pre-cracks of the case.
 
     Raises
     ------
     CaseError
-        The body is a line, or its particles lie on one.
+        The body is a line, or its particles are on a line.
 
     Notes
     -----
-    Collective; the same on all ranks.
+    Collective; equal on all ranks.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def crack_faces(solution: Solution, region: Region = EVERYWHERE, precracks: bool
     rows = np.concatenate([part[0] for part in parts])
     corners = [one for part in parts for one in part[1]]
     dim = cloud.dim
-    # Most pairs are seen from both of their ends.
+    # Most pairs are listed from both ends.
     keys, first = np.unique(rows[:, :3], axis=0, return_index=True)
     mirrored = (keys[:, 0] == keys[:, 1]) & (cloud.places.behind(keys[:, 2].astype(np.int64)) > 0)
     found = rows[first, 3:]
@@ -152,7 +152,7 @@ _cut: WeakKeyDictionary[Body, GlobalIndex] = WeakKeyDictionary()
 
 
 def _cut_from_the_start(solution: Solution) -> GlobalIndex:
-    """Return the own particles that a crack of the case has cut from any other (n,)."""
+    """Return the owned particles that a pre-crack of the case has cut from another (n,)."""
     body = solution.problem.body
     if body not in _cut:
         pairs, _, bonded = pairs_of(solution, np.arange(len(solution.x)))
@@ -161,7 +161,7 @@ def _cut_from_the_start(solution: Solution) -> GlobalIndex:
 
 
 def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float, list[Float]]:
-    """Return rows (n, 3 + 2 dim + 1) of the faces of own particles: key, middle, normal, area; and their corners."""
+    """Return rows (n, 3 + 2 dim + 1) of the faces of owned particles: key, middle, normal, area; and their corners."""
     cloud, damage, families = solution.cloud, solution.problem.bond_damage, solution.problem.body.families
     if damage is None and solution.problem.damage is not None:
         raise CaseError(
@@ -220,7 +220,7 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
 
 
 def _key(solution: Solution, i: int, j: int) -> tuple[tuple[int, int, int], bool]:
-    """Return ids of both ends, the lower first, and the place of the second seen from the first; and if i is first."""
+    """Return ids of both ends, the lower first, the image place of the second from the first, and if i is first."""
     cloud = solution.cloud
     place = int(cloud.place[j])
     back = int(cloud.places.opposite(np.array([place]))[0])
@@ -240,12 +240,12 @@ def _area(points: Float) -> float:
 
 
 def _patch(middle: Float, normal: Float, area: float, points: Float) -> Float:
-    """Return a face of an area about a middle: at the surface, where the cell of a particle has no end."""
+    """Return a face of an area about a middle, for unbounded cells at the surface."""
     dim = len(middle)
     if dim == 2:
         along = np.array([-normal[1], normal[0]]) * 0.5 * area
         ends = np.array([middle - along, middle + along])
-        for point in points:  # the end that it has, which the face beside it shares
+        for point in points:  # the bounded end, shared with the adjacent face
             nearer = int(np.argmin(np.linalg.norm(ends - point, axis=1)))
             if np.linalg.norm(ends[nearer] - point) < 0.5 * area:
                 ends[nearer] = point
@@ -257,15 +257,15 @@ def _patch(middle: Float, normal: Float, area: float, points: Float) -> Float:
 
 
 def crack_lines(faces: CrackFaces) -> list[Float]:
-    """Return the faces of a crack in the plane as polylines (n_points, 2) [length], not collective.
+    """Return the faces of a crack in the plane as polylines (n_points, 2) [length] (not collective).
 
-    A line ends where a crack ends or forks. It runs through the middles of the faces, from the end of the first one to
-    the end of the last: along a slanted crack the steps of a lattice are smoothed.
+    A line ends where a crack ends or forks. It connects the middles of the faces, from the end of the first to the end
+    of the last: the steps of a lattice along an inclined crack are smoothed.
 
     Parameters
     ----------
     faces : CrackFaces
-        What ``crack_faces`` returns.
+        Faces returned by ``crack_faces``.
 
     Examples
     --------
@@ -290,7 +290,7 @@ def crack_lines(faces: CrackFaces) -> list[Float]:
 
 
 def _line(faces: CrackFaces, of: GlobalIndex, at: dict[int, list[int]], used: Mask, start: int, face: int) -> Float:
-    """Return the line from a node along a face to where it ends or forks."""
+    """Return the line from a node along a face to its end or fork."""
     points, here = [faces.corners[face][int(of[face, 0] != start)]], start
     while True:
         used[face] = True
@@ -305,22 +305,21 @@ def _line(faces: CrackFaces, of: GlobalIndex, at: dict[int, list[int]], used: Ma
 
 @dataclass(frozen=True)
 class CrackLength(Quantity):
-    """Length of the cracks of a plane body, area of those of a solid one [length^(dim - 1)], from broken bonds.
+    """Length of the cracks of a plane body, or area in a solid body [length^(dim - 1)], from broken bonds.
 
-    A crack is the faces between neighbouring particles, in the sense of Voronoi, whose bond is broken; its length is
-    that of the faces seen along the normal of the line, or plane, that fits those best that are connected with them
-    within a horizon, so that one that runs over the steps of a lattice has its own length. Where particles lose the
-    bonds to both sides both faces count. Of a part before mirror planes it is that of the part, half of a crack on a
-    plane.
+    A crack consists of the faces between Voronoi neighbours with a broken bond. Each face is projected on the line or
+    plane of best fit to the connected faces within a horizon, so that the steps of a lattice do not increase the
+    length. If a particle loses the bonds on both sides, both faces are included. With mirror planes it is the length in
+    the part: half of a crack on a plane.
 
-    A run that has it in its history leaves the crack of its last step in ``crack.vtk``, as lines or surfaces.
+    A run with this quantity in its history writes the crack of its last step to ``crack.vtk``, as lines or surfaces.
 
     Parameters
     ----------
     region : Region
-        Where; everywhere by default. A face counts where either of its particles is.
+        Region of the faces, by default everywhere; one of the two particles must be in it.
     precracks : bool
-        Whether what cracks of the case cut from the start counts too.
+        If True, include faces cut by pre-cracks of the case.
 
     Examples
     --------
@@ -332,7 +331,7 @@ class CrackLength(Quantity):
     precracks: bool = False
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the body is a line, or the region does not fit."""
+        """Raise CaseError if the body is a line, or the region does not fit."""
         if dim < 2:
             raise CaseError("A CrackLength is of a plane body or a solid one; this one is a line.")
         self.region.check(dim)
@@ -343,6 +342,6 @@ class CrackLength(Quantity):
         return float(faces.share @ faces.smooth_area(solution.cloud.horizon))
 
     def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool]:
-        """Return polylines, or polygons, and whether they are closed."""
+        """Return polylines or polygons, and True if they are closed."""
         faces = crack_faces(solution, self.region, self.precracks)
         return (crack_lines(faces), False) if solution.cloud.dim == 2 else (faces.corners, True)

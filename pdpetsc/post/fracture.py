@@ -42,27 +42,27 @@ from pdpetsc.post.solution import Field, Solution
 
 # Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
 SMALL = 0.02
-# Numbers by the inner and the outer part of a domain differ by less than this share of them, or are in doubt.
+# A number is doubtful if its values by the inner and the outer part of a domain differ by more than this share.
 PATHS = 0.05
-# A crack is moved by this share of the width of the domain, to both sides: what is left out is the square of it, and
-# energies of laws at finite strain are known to 1e-16 of the modulus only, however small the strain.
+# A crack is moved by this share of the width of the domain, in both directions. The error is its square; a smaller
+# share loses digits, because energies at finite strain have an absolute error of 1e-16 of the modulus.
 MOVED = 1e-3
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number of a crack tip, and how well it is known.
+    """A number of a crack tip, with its accuracy.
 
     Attributes
     ----------
     value : float
         The number.
     size : float
-        Sum of the sizes of what it is the sum of, between the radii: where it is far larger, the number is nothing.
+        Sum of the absolute values of its terms between the radii; if it is far larger, the number is round-off.
     guessed : float
-        What lies next to the tip, by another way of integrating it, less what is in the number.
+        Difference of two integration rules next to the tip.
     why : str
-        Why it is wrong, as the end of a sentence; empty where it is not.
+        Reason why the number is wrong, as the end of a sentence; empty if there is none.
     """
 
     value: float
@@ -73,10 +73,10 @@ class Number:
 
 @dataclass(frozen=True)
 class AtTip(Quantity):
-    """A quantity of a crack tip in a plane body, summed over the particles between two radii about it.
+    """A quantity of a crack tip in a plane body, integrated over the particles between two radii.
 
-    The tip, ``direction``, and both radii are in the undeformed body. Mirror planes are seen through: the number is
-    that of the tip of the whole body, whichever part of it is computed.
+    Tip, ``direction`` and radii are in the undeformed body. With mirror planes the number is that of the tip of the
+    whole body.
     """
 
     tip: Sequence[float]
@@ -85,11 +85,10 @@ class AtTip(Quantity):
     outer: float
     follows: CrackTip | None = None
 
-    # Whether moduli may follow a temperature that changes from place to place, and what to do besides where a number is
-    # refused.
+    # If moduli may depend on a non-uniform temperature, and additional advice for a refused number.
     knows_softer_moduli: ClassVar[bool] = True
     advice: ClassVar[str] = ", or give the derivative of the energy density as explicit"
-    # Below this share of what it is a sum of, a number counts as that.
+    # Differences are relative to the number, or to this share of the sum of its absolute terms if that is larger.
     nothing: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:
@@ -104,19 +103,19 @@ class AtTip(Quantity):
             raise CaseError(f"A {name} takes radii 0 < inner < outer, not {self.inner} and {self.outer}.")
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the body is not plane."""
+        """Raise CaseError if the body is not plane."""
         if dim != 2:
             raise CaseError(f"A {type(self).__name__} is of a crack in a plane body; this one has {dim} dimensions.")
         if self.follows is not None:
             self.follows.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the number; nan where a tip that moves has come too near to the boundary or another crack.
+        """Return the number; nan if a moving tip is too near to the boundary or to another crack.
 
         Raises
         ------
         CaseError
-            The domain of a tip that stays is not filled, or holds something that is not of one crack.
+            The domain of a fixed tip is not filled, or does not contain exactly one crack.
         """
         number = self._known(solution)
         if number.why and self.follows is not None:
@@ -125,23 +124,22 @@ class AtTip(Quantity):
         return number.value
 
     def _known(self, solution: Solution) -> Number:
-        """Return the number of a state, which is asked for by its value and by what is doubted of it (collective)."""
-        # The quantity is kept with it, so that no other one has its place in memory meanwhile.
+        """Return the cached number of a state, for its value and its doubt (collective)."""
+        # The quantity is stored with it, so that its id is not reused.
         return solution.state.kept(("crack tip", id(self)), lambda: (self, self._found(solution)))[1]
 
     def _found(self, solution: Solution) -> Number:
-        """Return the number, or why there is none (collective)."""
+        """Return the number, or the reason why there is none (collective)."""
         self.check(solution.problem.dim)
         domain = self._domain(solution)
         why = trouble(solution, domain, self.follows is not None) or self._why_not(solution, domain)
         return Number(math.nan, why=why) if why else self.number(solution, domain)
 
     def doubt(self, solution: Solution) -> str:
-        """Return why the number of this state may be wrong, though it is not refused (collective).
+        """Return why an accepted number of this state may be wrong (collective).
 
-        It does not depend on the path in a continuum: the number by a weight that falls mostly near the inner radius is
-        that by one that falls near the outer one. What is integrated next to the tip, where the body is none, counts
-        besides.
+        In a continuum the number does not depend on the path. Numbers by weights that decrease mostly near the inner
+        and near the outer radius are compared, and the difference of integration rules next to the tip is added.
         """
         number = self._known(solution)
         if number.why:
@@ -164,10 +162,10 @@ class AtTip(Quantity):
 
     @abstractmethod
     def number(self, solution: Solution, domain: Domain) -> Number:
-        """Return the number of a domain that can have one (collective)."""
+        """Compute the number for a valid domain (collective)."""
 
     def _domain(self, solution: Solution, tilt: float = 0.0) -> Domain:
-        """Return the domain about the tip where it is now (collective)."""
+        """Return the domain about the current tip (collective)."""
         tip = np.asarray(self.tip, dtype=float)
         if self.follows is not None:
             along = np.asarray(self.follows.direction, dtype=float)
@@ -176,14 +174,14 @@ class AtTip(Quantity):
         return Domain.of(solution, tip, self.direction, self.inner, self.outer, tilt)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
-        """Return why the material or the state forbids the number, in words after "it" (collective)."""
+        """Return why material or state is invalid for the number, in words after "it" (collective)."""
         _, why = loads_in(solution, domain)
         if why:
             return why
         return self._why_uneven(solution, domain)
 
     def _why_uneven(self, solution: Solution, domain: Domain) -> str:
-        """Return why what the energy density reads of the place forbids the number (collective)."""
+        """Return why the position dependence of the energy density is invalid for the number (collective)."""
         inside, advice = domain.near(solution.x), self.advice
         if len(materials_in(solution, inside)) > 1:
             return f"holds several materials; take smaller radii{advice}"
@@ -204,7 +202,7 @@ class AtTip(Quantity):
 def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool) -> float:
     """Return ``- int q f . v,1`` of loads f on this rank, per thickness.
 
-    ``moved`` (n_owned, 2) is v by the axes of the frame, ``gradient`` its derivative along the crack. Of uniform
+    ``moved`` (n_owned, 2) is v along the axes of the frame, ``gradient`` its derivative along the crack. For uniform
     tractions on the faces it is ``int q,1 f . v``, because the jump of v vanishes at the tip.
     """
     q, slope = domain.weight(frame, solution.x)
@@ -215,12 +213,12 @@ def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gr
 
 @dataclass(frozen=True)
 class _Release(AtTip):
-    """What a crack sets free per area as it grows, with the explicit derivative of the energy density."""
+    """Energy released per area of crack growth, with the explicit derivative of the energy density."""
 
     explicit: Field | None = None
 
     def _why_uneven(self, solution: Solution, domain: Domain) -> str:
-        """Return why the explicit derivative is not known; empty where it is given (collective)."""
+        """Return why the explicit derivative is unknown; empty if it is declared (collective)."""
         return "" if self.explicit is not None else super()._why_uneven(solution, domain)
 
     def _of_loads(self, solution: Solution, domain: Domain) -> float:
@@ -251,14 +249,14 @@ class _Release(AtTip):
 
     @staticmethod
     def _less(rest: float, size: float, parts: Sequence[Integral]) -> Number:
-        """Return a number less integrals, and why one of them is not known well enough in it, if so."""
+        """Return a number minus integrals, and the reason if one of them is too inaccurate."""
         whole = rest - sum(part.value for part in parts)
         guessed = sum(abs(part.value - part.plain) for part in parts)
         return Number(whole, size, guessed, next(filter(None, (part.trouble(whole, -1.0) for part in parts)), ""))
 
 
 def along(domain: Domain, slopes: Float) -> list[Float]:
-    """Return slopes (n, 2) by the axes of the frames of a domain."""
+    """Return slopes (n, 2) along the axes of the frames of a domain."""
     return [slopes @ frame.turn.T for frame in domain.frames]
 
 
@@ -267,38 +265,36 @@ class JIntegral(_Release):
     """J-integral of a crack tip as a domain integral [energy / area].
 
     ``J = - int (psi I - H^T P)_1m q,m dA - int q (b . H e_1 + dpsi/dX_1) dA - int q t . H e_1 dS`` over the undeformed
-    body, with the weight q that falls from 1 to 0 between two radii, the displacement gradient ``H = F - I``, body
-    forces b and tractions t on the faces of the crack, which come from the loads of the case; tractions are uniform
-    along the crack, and dead. ``dpsi/dX`` is the derivative of the energy density by place at constant F, where moduli,
-    temperature or strain without stress depend on it (``inhomogeneity.explicit_derivative``). It holds at finite
-    strain. It is the energy set free per area of crack in elastic bodies; in bodies with history ``psi`` is the work of
-    the stress, and J depends on the radii where loading is not proportional. A body of bonds gives the gradient that
-    fits its families best, and their stress and energy density.
+    body, with the weight q that decreases from 1 to 0 between two radii, and the displacement gradient ``H = F - I``.
+    Body forces b and tractions t on the faces of the crack are those of the loads of the case; tractions are uniform
+    along the crack, and dead. ``dpsi/dX`` is the derivative of the energy density by position at constant F, for
+    moduli, temperature or eigenstrain that depend on position (``inhomogeneity.explicit_derivative``). J is valid at
+    finite strain. In elastic bodies it is the energy released per area of crack. In bodies with history ``psi`` is the
+    work of the stress, and J depends on the radii if loading is not proportional. In bodies of bonds the fields are the
+    gradient of best fit of each family, and its stress and energy density.
 
     Parameters
     ----------
     tip : (float, float)
         The crack tip in the undeformed body [length].
     direction : (float, float)
-        Where the crack grows to; its length does not matter. The faces behind the tip are straight along it up to the
-        outer radius.
+        Direction of crack growth, of any length. The faces behind the tip are straight along it up to the outer radius.
     inner, outer : float
-        Between them the weight falls [length]. The inner one is at least the horizon: nearer to the tip fields are not
-        those of a continuum.
+        Radii between which the weight decreases [length]. The inner one is at least the horizon: fields nearer to the
+        tip are not those of a continuum.
     follows : CrackTip, optional
-        The tip of a crack that grows: the domain moves along its direction with it, once it is ahead of ``tip``. The
-        number is nan where the domain has left the body or meets something else.
+        The tip of a growing crack: the domain moves with it along ``direction``, once it is ahead of ``tip``. The
+        number is nan if the domain leaves the body or is invalid.
     explicit : Field, optional
-        Derivative of the energy density by the place at constant F (n_owned, 2) [energy / volume / length], in the
-        place of the one that follows from graded moduli, temperatures and eigenstrains: for bodies that are refused
-        without it, because they have several materials, axes that turn from place to place, or strains that jump;
-        zeros are right where an interface lies along the crack.
+        Derivative of the energy density by position at constant F (n_owned, 2) [energy / volume / length], instead of
+        the one from graded moduli, temperatures and eigenstrains. Bodies with several materials, axes that rotate with
+        position, or strains that jump require it. Zeros are correct for an interface along the crack.
 
     Raises
     ------
     CaseError
-        Radii or vectors are wrong; or, of a body, the domain leaves it, has too few particles, holds supports, another
-        crack, several materials, or moduli or strains that jump.
+        Radii or vectors are wrong. In a body: the domain leaves it, has too few particles, or contains supports,
+        another crack, several materials, or moduli or strains that jump.
 
     References
     ----------
@@ -328,15 +324,14 @@ class JIntegral(_Release):
 class EnergyReleaseRate(_Release):
     """Energy release rate by a virtual crack extension [energy / area].
 
-    The particles about the tip are moved along the crack by ``+-d q`` in the undeformed body, their displacements with
-    them, and the strain energy is computed again from the deformation gradients that the gradient points then have:
-    ``G = -(E(d) - E(-d)) / (2 d)`` per thickness, with ``F = I + H (I + d D)^-1`` and volumes ``W det(I + d D)``, where
-    ``D`` is the gradient of ``q e_1`` by the weights of the body. Equilibrium makes the change of the displacements
-    count for nothing. Loads and place count as for ``JIntegral``.
+    The particles about the tip are moved along the crack by ``+-d q`` in the undeformed body, with their displacements,
+    and the strain energy is computed from the new deformation gradients: ``G = -(E(d) - E(-d)) / (2 d)`` per thickness,
+    with ``F = I + H (I + d D)^-1`` and volumes ``W det(I + d D)``, where ``D`` is the gradient of ``q e_1`` by the
+    weights of the body. By equilibrium, changes of the displacements do not contribute. Loads and position dependence
+    are included as for ``JIntegral``.
 
-    It tends to J as particles get smaller. It differs in what it reads: energies alone, no stresses; and the weight
-    through the gradient of the scheme at every gradient point, which smooths it, where J has its exact gradient at the
-    particles.
+    It converges to J under refinement. It uses energies only, no stresses, and the gradient of the weight by the scheme
+    at every gradient point, which smooths it; J uses the exact gradient at the particles.
 
     Parameters
     ----------
@@ -377,27 +372,26 @@ class StressIntensity(AtTip):
     """Stress intensity factor K_I or K_II of a crack tip by the interaction integral [stress length^1/2].
 
     ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik (H - eps)_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS + E'/2 int q (s
-    : eps,1 + P : (S - S(x)) s,1) dA`` with displacement v and stress s of the field of Westergaard with K = 1 of that
-    mode and the moduli at the tip, strain without stress eps (with that across the plane times Poisson's ratio in plane
-    strain), body forces and tractions on the faces as for ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 -
-    nu^2)`` in plane strain, as the material says, at the tip. The last part is of moduli graded by place, with the
-    compliance S at the tip and S(x): s is in equilibrium, the strain that moduli make of it is no gradient of v, and no
-    derivative of moduli is needed. It is of linear fracture mechanics: refused where the material is not isotropic, or
-    follows a temperature from place to place, and where the stresses between the radii differ by more than 0.02 of them
-    from those of small linear strain: by flow, large strain or turning. Of a nonlinear body of bonds the displacement
-    gradient is at most 0.02.
+    : eps,1 + P : (S - S(x)) s,1) dA`` with displacement v and stress s of Westergaard's field for K = 1 of the mode and
+    the moduli at the tip, and the eigenstrain eps (in plane strain including Poisson's ratio times the part across the
+    plane). Body forces and tractions on the faces are as for ``JIntegral``. ``E' = E`` in plane stress and ``E / (1 -
+    nu^2)`` in plane strain, at the tip. The last part is for graded moduli, with the compliance S at the tip and S(x):
+    s is in equilibrium, but its strain by the local moduli is no gradient of v; derivatives of moduli are not required.
+    K is defined in linear fracture mechanics. It is refused if the material is not isotropic, if moduli depend on a
+    non-uniform temperature, or if flow, large strain or rotation change the stresses between the radii by more than
+    0.02 of those of small linear strain. In a nonlinear body of bonds the displacement gradient must be at most 0.02.
 
     Parameters
     ----------
     tip, direction, inner, outer, follows
-        As for ``JIntegral``. K_II is positive where the upper face, left of the direction, moves forward.
+        As for ``JIntegral``. K_II is positive if the upper face, left of the direction, moves forward.
     mode : {"I", "II"}
         Opening or sliding.
 
     Raises
     ------
     CaseError
-        As for ``JIntegral``, and for what linear fracture mechanics does not describe.
+        As for ``JIntegral``, or the state is not one of linear fracture mechanics.
 
     References
     ----------
@@ -414,7 +408,7 @@ class StressIntensity(AtTip):
     mode: Literal["I", "II"] = "I"
 
     knows_softer_moduli: ClassVar[bool] = False
-    # One mode is known as well as the other one beside it.
+    # The accuracy of one mode is relative to both modes.
     nothing: ClassVar[float] = 0.5
     advice: ClassVar[str] = ""
 
@@ -449,7 +443,7 @@ class StressIntensity(AtTip):
         return Number(float(K), float(half * size), float(guessed), why)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
-        """Return also why the fields are not those of linear fracture mechanics."""
+        """Return the reason, including fields that are not those of linear fracture mechanics."""
         why = super()._why_not(solution, domain)
         if why:
             return why
@@ -464,9 +458,9 @@ class StressIntensity(AtTip):
         return ""
 
     def _departs(self, solution: Solution, domain: Domain) -> float:
-        """Return by which share the stresses between the radii are not those of small linear strain (collective).
+        """Return the relative difference of the stresses from those of small linear strain (collective).
 
-        The stress of bonds is linear up to the error of their sums; their displacement gradient is looked at.
+        The stress of bonds is linear up to the error of their sums; for bonds the displacement gradient is used.
         """
         fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
         assert law is not None
@@ -488,10 +482,10 @@ class StressIntensity(AtTip):
 
     @staticmethod
     def _free(solution: Solution, law: LinearElastic) -> tuple[Float, Float]:
-        """Return the strain within the plane without stress (n_owned, 2, 2), and its slope (n_owned, 2, 2, 2).
+        """Return the in-plane eigenstrain (n_owned, 2, 2), and its slope (n_owned, 2, 2, 2).
 
-        What a body in plane strain cannot expand by across the plane it does within it, times Poisson's ratio; bodies
-        of bonds give it with that. Collective.
+        In plane strain it includes Poisson's ratio times the constrained strain across the plane; that of bonds
+        contains this already. Collective.
         """
         n, place = len(solution.x), of_place(solution)
         if place.strain is None:
@@ -504,7 +498,7 @@ class StressIntensity(AtTip):
 
     @staticmethod
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
-        """Return the elastic law in the domain, with the moduli that it has at the tip (collective)."""
+        """Return the elastic law in the domain, with its moduli at the tip (collective)."""
         inside = domain.near(solution.x)
         law = integrands_of(solution).elastic_law(materials_in(solution, inside)[0], inside)
         return None if law is None else replace(law, E=law.E * domain.at_tip(solution, of_place(solution).factor))
@@ -516,7 +510,7 @@ def plane_modulus(law: LinearElastic) -> float:
 
 
 def strain_energy(s: Float, t: Float, law: LinearElastic) -> Float:
-    """Return the work (n,) that plane stresses s (n, 2, 2) do on the elastic strains of others t (n, 2, 2)."""
+    """Return the work (n,) of plane stresses s (n, 2, 2) on the elastic strains of stresses t (n, 2, 2)."""
     across = law.nu / (1.0 + law.nu) if law.plane == "stress" else law.nu
     both = np.einsum("pik,pik->p", s, t) - across * np.einsum("pii->p", s) * np.einsum("pii->p", t)
     return np.asarray((1.0 + law.nu) / law.E * both)
@@ -526,7 +520,7 @@ def westergaard_slope(x: Float, mode: str) -> Float:
     """Return the derivative along the crack (n, 2, 2) of the stresses of ``westergaard`` [1 / length^3/2]."""
     z = x[:, 0] + 1j * x[:, 1]
     z = np.where(z == 0.0, np.finfo(float).tiny, z)
-    Z = -0.5 / (z * np.sqrt(2.0 * np.pi * z))  # the derivative of that of the field
+    Z = -0.5 / (z * np.sqrt(2.0 * np.pi * z))  # derivative of the function of the field
     return _stresses(Z, x[:, 1] * (-1.5 * Z / z), mode)
 
 

@@ -1,4 +1,4 @@
-"""How the energy density of a body depends on place at a constant deformation gradient."""
+"""Dependence of the energy density on position at a constant deformation gradient."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.integrands import integrands_of, range_on_ranks
 from pdpetsc.post.solution import Solution
 
-# Numbers that differ by less than this share are the same: round-off of sums.
+# Numbers that differ by less than this share are equal: round-off of sums.
 SAME = 1e-12
-# Neighbours are next to each other up to this many times the least distance.
+# Nearest neighbours are within this many times the smallest distance.
 NEXT = 1.3
-# What a slope leaves unexplained grows with the square of the distance where a field is smooth, and falls with it where
-# the field jumps: next neighbours have less than this share of what the farthest ones have, or a jump lies between.
+# The residual of a linear fit grows with the square of the distance if a field is smooth, but not across a jump: if
+# nearest neighbours have more than this share of the residual of the farthest, there is a jump between them.
 SMOOTH = 0.5
-# It does not count below this share of the range of a field; nor does it, where all neighbours are next, below the
-# second.
+# Residuals below this share of the range of a field are ignored, below the second share if all neighbours are nearest
+# ones.
 NOTHING, ROUGH = 1e-5, 0.05
-# Within so many horizons of a crack tip, at most this share of the outer radius, a temperature may have a singular
-# slope: that of the root of the distance, up to this many times.
+# Within so many horizons of a crack tip, at most this share of the outer radius, the slope of a temperature may be
+# singular, up to this many times that of a square root of the distance.
 SINGULAR, SINGULAR_MOST, STEEPER = 2.0, 0.5, 3.0
 
-# It has one where the mean square of its slope within that distance is at least this many times that around.
+# The slope is singular if its mean square within that distance is at least this many times that around it.
 ROOT = 1.6
 
-# What differs between particles, in words.
+# Names of the numbers that differ between particles.
 STRAIN, MODULI = "strain without stress", "moduli"
 
 
 @dataclass(frozen=True)
 class OfPlace:
-    """What the energy density reads besides the deformation gradient.
+    """The arguments of the energy density besides the deformation gradient.
 
     Attributes
     ----------
     solution : Solution
         A state.
     strain : (n_local, 4) float64 or None
-        Strain without stress, xx, yy, xy and zz [-]; of bodies of bonds what the body shows of it.
+        Eigenstrain, xx, yy, xy and zz [-]; for bodies of bonds its effective value in the plane.
     factor : (n_local,) float64
-        What multiplies the moduli, of place and of temperature [-].
+        Factor on the moduli, of position and of temperature [-].
     temperature : (n_local,) float64 or None
-        Where a law depends on it otherwise.
+        Temperature, if a law depends on it in another way.
     given : tuple of (str, (n_local,) float64)
-        What no temperature makes of these, with what it is: eigenstrains, and moduli graded by place.
+        Those that do not depend on temperature, with their names: eigenstrains, and graded moduli.
     """
 
     solution: Solution
@@ -60,12 +60,12 @@ class OfPlace:
 
     @property
     def graded(self) -> Float:
-        """Return what multiplies the moduli by place alone (n_local,) [-]."""
+        """Return the factor on the moduli by position alone (n_local,) [-]."""
         return self.given[0][1]
 
     @cached_property
     def columns(self) -> list[tuple[str, Float]]:
-        """Return all its numbers (n_local,) with what they are."""
+        """Return all its numbers (n_local,) with their names."""
         found = [] if self.strain is None else [(STRAIN, column) for column in self.strain.T]
         found.append((MODULI, self.factor))
         if self.temperature is not None:
@@ -74,7 +74,7 @@ class OfPlace:
 
 
 def of_place(solution: Solution) -> OfPlace:
-    """Return what the energy density reads besides the deformation gradient (collective)."""
+    """Return the arguments of the energy density besides the deformation gradient (collective)."""
     return solution.state.kept("of place", lambda: _of_place(solution))
 
 
@@ -96,9 +96,9 @@ def _of_place(solution: Solution) -> OfPlace:
 
 
 def _shown(solution: Solution, own: Float) -> Float:
-    """Return strains of the own particles (n_owned, 3, 3) as those of the local ones (n_local, 4) (collective)."""
+    """Return strains of the owned particles (n_owned, 3, 3) as strains of the local ones (n_local, 4) (collective)."""
     cloud, strain = solution.cloud, _with_ghosts(solution, own)
-    # Behind a mirror plane a shear has the other sign.
+    # Behind a mirror plane a shear has the opposite sign.
     if len(cloud.sign):
         strain[cloud.n_owned :, 0, 1] *= cloud.sign.prod(axis=1)
     return np.stack([strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1], strain[:, 2, 2]], axis=1)
@@ -110,11 +110,11 @@ def plane_tensors(columns: Float) -> Float:
 
 
 def explicit_derivative(solution: Solution) -> Float:
-    """Return the derivative of the energy density by place at constant F (n_owned, 2) [energy / volume / length].
+    """Return the derivative of the energy density by position at constant F (n_owned, 2) [energy / volume / length].
 
-    ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the strain without stress eps, the factor c of the moduli,
-    the temperature T where a law depends on it otherwise, and the slopes of all of them by the weights of the body,
-    which are exact where they are linear; ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` of linear bodies and bonds
+    ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the eigenstrain eps, the factor c of the moduli, and the
+    temperature T if a law depends on it in another way. Their slopes are computed with the weights of the body, exact
+    for linear fields. ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` for linear bodies and bonds
     (``MaterialLaw.energy_by_strain``). Collective.
     """
     place = of_place(solution)
@@ -122,14 +122,14 @@ def explicit_derivative(solution: Solution) -> Float:
 
 
 def derivative_besides_grading(solution: Solution) -> Float:
-    """Return the explicit derivative without what moduli graded by place do (n_owned, 2) (collective)."""
+    """Return the explicit derivative without the part of graded moduli (n_owned, 2) (collective)."""
     place = of_place(solution)
     moduli = place.factor / place.graded
     return integrands_of(solution).explicit_derivative(moduli, place.strain, place.temperature)
 
 
 def slope_of_grading(solution: Solution) -> tuple[Float, Float]:
-    """Return ``g = c,m / c`` of the factor c of moduli graded by place (n_owned, 2) and its slope (n_owned, 2, 2).
+    """Return ``g = c,m / c`` of the factor c of graded moduli (n_owned, 2) and its slope (n_owned, 2, 2).
 
     [1 / length] and [1 / length^2], by the weights of the body. Collective.
     """
@@ -140,14 +140,14 @@ def _slope_of_grading(solution: Solution) -> tuple[Float, Float]:
     cloud, graded = solution.cloud, of_place(solution).graded
     n, integrands = len(solution.x), integrands_of(solution)
     local = _with_ghosts(solution, integrands.slopes(graded[:, None])[:, 0] / graded[:n, None])
-    # Behind a mirror plane the slope across it has the other sign.
+    # Behind a mirror plane the slope along its normal has the opposite sign.
     if len(cloud.sign):
         local[n:] *= cloud.sign
     return local[:n], integrands.slopes(local)
 
 
 def uneven(solution: Solution, inside: Mask) -> list[str]:
-    """Return what the energy density reads that differs between some own particles (n_owned,) (collective)."""
+    """Return the arguments of the energy density that differ between owned particles (n_owned,) (collective)."""
     found = []
     for name, column in of_place(solution).columns:
         low, high = range_on_ranks(solution, column[: len(inside)][inside])
@@ -157,7 +157,7 @@ def uneven(solution: Solution, inside: Mask) -> list[str]:
 
 
 def softened(solution: Solution, inside: Mask) -> bool:
-    """Return whether a temperature makes moduli differ between some own particles (n_owned,) (collective)."""
+    """Return True if moduli of owned particles (n_owned,) differ by temperature (collective)."""
     place = of_place(solution)
     by_heat = [place.factor / place.graded]
     columns = by_heat if place.temperature is None else [*by_heat, place.temperature]
@@ -165,10 +165,11 @@ def softened(solution: Solution, inside: Mask) -> bool:
 
 
 def singular(solution: Solution, tips: Sequence[Float], start: float) -> bool:
-    """Return whether the slope of a temperature grows towards crack tips as one over a root of the distance.
+    """Return True if the slope of a temperature grows as one over the square root of the distance to crack tips.
 
-    That of heat that flows round a crack does: its mean square within a distance ``start`` of a tip [length] is then
-    three times that from there to twice the distance, and as large where the temperature is smooth. Collective.
+    Heat flow around a crack causes this. The mean square of the slope within a distance ``start`` of a tip [length] is
+    then three times that between this distance and twice the distance; for smooth temperatures both are equal.
+    Collective.
     """
     temperature = solution.state.temperature
     if temperature is None:
@@ -182,10 +183,10 @@ def singular(solution: Solution, tips: Sequence[Float], start: float) -> bool:
 
 
 def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -> str:
-    """Return what of it jumps between some own particles (n_owned,) and their neighbours; empty where nothing does.
+    """Return the arguments that jump between owned particles (n_owned,) and their neighbours; empty if none.
 
-    A jump has no slope: what it does to the energy lies between the particles. Next to a tip the slope of a temperature
-    grows as one over the root of the distance, which looks like a jump there; it must not be steeper than that.
+    A jump has no slope, and its contribution to the energy is between the particles. Next to a tip the slope of a
+    temperature grows as one over the square root of the distance, which resembles a jump; steeper slopes are jumps.
     Collective.
 
     Parameters
@@ -193,7 +194,7 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
     tips : list of (2,) float64
         Crack tips, near which slopes of temperatures may be singular [length].
     outer : float
-        Within which of a tip the particles are [length].
+        Radius around a tip that contains the particles [length].
     """
     place, reach = of_place(solution), solution.cloud.local_horizon[: len(inside)]
     start = min(SINGULAR * solution.largest(float(reach[inside].max(initial=0.0))), SINGULAR_MOST * outer)
@@ -207,7 +208,7 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
 
 
 def _jumping(solution: Solution, inside: Mask, zone: Mask, columns: Sequence[tuple[str, Float]]) -> str:
-    """Return what of some numbers of the local particles jumps in a zone of those inside (collective)."""
+    """Return the names of numbers of the local particles that jump in a zone of those inside (collective)."""
     pairs, xi, length, near, least = _bonds_in(solution, zone)
     far = length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
     some_far = solution.largest(float(np.count_nonzero(far))) > 0.0
@@ -226,9 +227,9 @@ def _jumping(solution: Solution, inside: Mask, zone: Mask, columns: Sequence[tup
 
 
 def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
-    """Return what changes faster between neighbours in the core about a tip than a root of the distance (collective).
+    """Return the numbers that change faster than a square root of the distance in the core about a tip (collective).
 
-    By its changes in the ring round the core, which begins at a distance ``start`` from the tip.
+    The reference are changes in the ring around the core, which begins at a distance ``start`` from the tip.
     """
     slopes = []
     shortest = np.inf
@@ -249,7 +250,7 @@ def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
 
 
 def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float, Mask, Float]:
-    """Return whole bonds of some own particles, their vectors and lengths, whether to next ones, and least lengths."""
+    """Return intact bonds of owned particles, vectors, lengths, True for nearest ones, and smallest lengths."""
     cloud = solution.cloud
     pairs, left, _ = pairs_of(solution, np.flatnonzero(zone))
     pairs = pairs[left == 1.0]
@@ -261,12 +262,12 @@ def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float
 
 
 def _differ(low: float, high: float) -> bool:
-    """Return True if the least and the largest of some numbers differ by more than round-off."""
+    """Return True if the smallest and the largest number differ by more than round-off."""
     return high - low > SAME * max(abs(high), abs(low))
 
 
 def _with_ghosts(solution: Solution, values: Float) -> Float:
-    """Return numbers of the own particles (n_owned, ...) with those of their ghosts (n_local, ...) (collective)."""
+    """Return numbers of the owned particles (n_owned, ...) with those of their ghosts (n_local, ...) (collective)."""
     cloud = solution.cloud
     local = np.empty((cloud.n_local, *values.shape[1:]))
     local[: cloud.n_owned] = values
@@ -275,9 +276,9 @@ def _with_ghosts(solution: Solution, values: Float) -> Float:
 
 
 def turned_by_place(solution: Solution, inside: Mask) -> bool:
-    """Return whether a law reads numbers of the place, as directions of fibres, that differ between own particles.
+    """Return True if a law has directions, as of fibres, that differ between owned particles.
 
-    The same on all ranks (collective).
+    Equal on all ranks (collective).
     """
     low, high = range_on_ranks(solution, integrands_of(solution).directions()[inside])
     return bool(high > low)

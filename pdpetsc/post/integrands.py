@@ -1,4 +1,4 @@
-"""What integrals about a crack tip read of a plane body: at gradient points, or along bonds."""
+"""Fields of a plane body for integrals about a crack tip: from gradient points, or from bonds."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from pdpetsc.problem.expansion import FreeDeformation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
 
-# A temperature is changed by this share of its range for the derivative of the energy of a law by it.
+# Step of the temperature, as a share of its range, for the derivative of the energy of a law.
 LAW_STEP = 1e-4
 
 
 @dataclass(frozen=True)
 class Continuum:
-    """What the integrals read of every own particle.
+    """The fields of owned particles for the integrals.
 
     Attributes
     ----------
@@ -46,16 +46,16 @@ class Continuum:
 
 
 class Integrands(ABC):
-    """What the integrals read of a body in one state.
+    """The fields of a body in one state for the integrals.
 
     Attributes
     ----------
     remembers : bool
-        Whether a material at gradient points has a history; the same on all ranks.
+        True if a material at gradient points has a history; equal on all ranks.
 
     Notes
     -----
-    Methods are collective but where they say otherwise.
+    Methods are collective unless stated otherwise.
     """
 
     remembers = False
@@ -66,18 +66,18 @@ class Integrands(ABC):
 
     @abstractmethod
     def continuum(self) -> Continuum:
-        """Return gradient, stress and energy-momentum tensor of the own particles."""
+        """Return gradient, stress and energy-momentum tensor of the owned particles."""
 
     @abstractmethod
     def materials(self) -> tuple[GlobalIndex, Float]:
-        """Return the number of the material of each own particle, and the factor of its moduli by place [-]."""
+        """Return the material number of each owned particle, and the factor of its moduli by position [-]."""
 
     @abstractmethod
     def law(self, number: int, inside: Mask) -> object:
-        """Return the law of a material in a part of the body (n_owned,) bool, None if it has none at small strain."""
+        """Return the law of a material in a part of the body (n_owned,) bool; None if it has none at small strain."""
 
     def elastic_law(self, number: int, inside: Mask) -> LinearElastic | None:
-        """Return the isotropic linear law that a material is at small strain in a part of the body, None for others."""
+        """Return the isotropic linear law of a material at small strain in a part of the body; None for others."""
         law = self.law(number, inside)
         return LinearElastic(law.E, law.nu, law.plane) if isinstance(law, IsotropicMaterial) else None
 
@@ -86,18 +86,18 @@ class Integrands(ABC):
         return np.zeros(len(self.solution.x))
 
     def strain_of_body(self, expansion: FreeDeformation) -> Float:
-        """Return the strain without stress as the body has it (n_owned, 3, 3) [-] (not collective)."""
+        """Return the effective eigenstrain of the body (n_owned, 3, 3) [-] (not collective)."""
         return expansion.strain
 
     def trace(self, fields: Continuum, free: Float | None) -> Float:
-        """Return the trace of the energy-momentum tensor (n_owned,), which is zero in a linear body without strain.
+        """Return the trace of the energy-momentum tensor (n_owned,); zero in a linear body without eigenstrain.
 
         Parameters
         ----------
         fields : Continuum
-            What ``continuum`` returns.
+            Fields returned by ``continuum``.
         free : (n_owned, 2, 2) float64 or None
-            Strain without stress within the plane [-].
+            Eigenstrain in the plane [-].
         """
         return np.asarray(np.einsum("pii->p", fields.momentum))
 
@@ -107,26 +107,26 @@ class Integrands(ABC):
 
     @abstractmethod
     def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
-        """Return the derivative of the energy density by place at constant F (n_owned, 2) [energy / volume / length].
+        """Return the position derivative of the energy density at fixed F (n_owned, 2) [energy / volume / length].
 
         Parameters
         ----------
         moduli : (n_local,) float64
             Factor of the moduli [-].
         strain : (n_local, 4) float64 or None
-            Strain without stress, xx, yy, xy and zz [-].
+            Eigenstrain, xx, yy, xy and zz [-].
         temperature : (n_local,) float64 or None
-            If a law depends on it otherwise.
+            Temperature, if a law depends on it in another way.
         """
 
     @abstractmethod
     def released(self, shifts: Sequence[Float], step: float) -> Float:
-        """Return the energy that each gradient point releases per length of a move of the particles (n_points,).
+        """Return the energy released at each gradient point per length of a move of the particles (n_points,).
 
         Parameters
         ----------
         shifts : sequence of (n_local, dim) float64
-            Moves in the undeformed body, over their length [-]; what they release is summed.
+            Moves in the undeformed body, over their length [-]; released energies are summed.
         step : float
             Length of the moves forwards and backwards [length].
 
@@ -138,7 +138,7 @@ class Integrands(ABC):
 
 
 class OfPoints(Integrands):
-    """Of a body with gradient points: each field is computed at the points and summed over the points of a particle."""
+    """Integrands of a body with gradient points: fields are summed over the points of a particle."""
 
     def __init__(self, solution: Solution, term: MaterialPoints) -> None:
         super().__init__(solution)
@@ -151,7 +151,7 @@ class OfPoints(Integrands):
         return self.term.operator.volume / self.solution.volume[self.term.operator.owner]
 
     def continuum(self) -> Continuum:
-        """Return the sums over the points with their volumes, over the volume of the particle."""
+        """Return the volume-weighted means over the points of each particle."""
         operator, one, share = self.term.operator, np.eye(self.solution.problem.dim), self.share
         F, P, psi = self.term.conjugates(self.state)
         H = F - one
@@ -170,7 +170,7 @@ class OfPoints(Integrands):
         return numbers, factor
 
     def law(self, number: int, inside: Mask) -> object:
-        """Return the law at the temperature that the particles have, which is one: others are refused."""
+        """Return the law at the uniform temperature of the particles; other temperatures are refused."""
         law = self.term.materials[number].material
         expansion, temperature = self.solution.problem.body.expansion, self.state.temperature
         thermal = None if expansion is None else expansion.thermals[number]
@@ -179,11 +179,11 @@ class OfPoints(Integrands):
         return thermal.material_at(self.solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
 
     def directions(self) -> Float:
-        """Return a number made of those that laws without history read of the place, as directions of fibres."""
+        """Return a number that combines position-dependent constants of laws without history, as fibre directions."""
         number = np.zeros(len(self.solution.x))
         for one in self.term.materials:
             if not one.has_history and one.history.shape[1]:
-                # Any that differ will do.
+                # Any numbers that differ are sufficient.
                 weights = np.arange(1.0, 1.0 + one.history.shape[1])
                 number[self.term.operator.owner[one.points]] = one.history @ weights
         return number
@@ -209,7 +209,7 @@ class OfPoints(Integrands):
         return term.operator.sum_over_points(self.share[:, None] * found)
 
     def released(self, shifts: Sequence[Float], step: float) -> Float:
-        """Return the difference of the energies of both moves, from the gradients that the points then have."""
+        """Return the difference of the energies of both moves, from the new gradients of the points."""
         operator, one = self.term.operator, np.eye(2)
         F, _, _ = self.term.conjugates(self.state)
         H, found = F - one, np.zeros(len(F))
@@ -238,7 +238,7 @@ class OfPoints(Integrands):
 
 
 class OfBonds(Integrands):
-    """Of a body of bonds: the gradient that fits its families best, with their stress and energy density."""
+    """Integrands of a body of bonds: the gradient of best fit of each family, with its stress and energy density."""
 
     def __init__(self, solution: Solution, term: BondForces) -> None:
         super().__init__(solution)
@@ -257,26 +257,26 @@ class OfBonds(Integrands):
         return self.term.material_of.astype(np.int64), self.term.factor
 
     def law(self, number: int, inside: Mask) -> object:
-        """Return the solid that the bonds stand for."""
+        """Return the equivalent solid of the bonds."""
         return self.term.materials[number].elastic(self.solution.problem.dim)
 
     def strain_of_body(self, expansion: FreeDeformation) -> Float:
-        """Return the strain with what the plane of the bonds shows of it."""
+        """Return the effective eigenstrain in the plane of the bonds."""
         strain = expansion.strain.copy()
         strain[:, :2, :2] = expansion.in_body()
         return strain
 
     def trace(self, fields: Continuum, free: Float | None) -> Float:
-        """Return that of the strain without stress in a linear body.
+        """Return the trace from the eigenstrain in a linear body.
 
-        The trace of a tip's bonds is what their best gradient misses of their energy.
+        The trace from bonds at a tip is only the error of their gradient of best fit.
         """
         if not self.term.linear:
             return super().trace(fields, free)
         return np.zeros(len(fields.P)) if free is None else -np.einsum("pik,pik->p", fields.P, free)
 
     def slopes(self, values: Float) -> Float:
-        """Return the slopes that fit families of bonds best, over bonds that are left."""
+        """Return the slopes of best fit of families, over remaining bonds."""
         cloud, families, damage = self.solution.cloud, self.families, self.solution.problem.bond_damage
         xi = families.bonds(cloud.x)
         weight = self.term.omega * cloud.volume[families.neighbours]
@@ -313,13 +313,13 @@ class OfBonds(Integrands):
 
 
 def integrands_of(solution: Solution) -> Integrands:
-    """Return what integrals read of the body of a solution (not collective)."""
+    """Return the integrands of the body of a solution (not collective)."""
     term = solution.problem.material_term
     return OfPoints(solution, term) if isinstance(term, MaterialPoints) else OfBonds(solution, cast(BondForces, term))
 
 
 def range_on_ranks(solution: Solution, values: Float) -> tuple[float, float]:
-    """Return the least and the largest of numbers on all ranks (collective)."""
+    """Return the smallest and the largest of numbers on all ranks (collective)."""
     return (
         -solution.largest(float((-values).max(initial=-np.inf))),
         solution.largest(float(values.max(initial=-np.inf))),

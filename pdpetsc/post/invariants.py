@@ -1,4 +1,4 @@
-"""Fields of the stress and strain tensors: von Mises, principal values, triaxiality; and what damage dissipates."""
+"""Fields of stress and strain: von Mises, principal values, triaxiality; and the dissipation of damage."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.post.solution import Solution, deformation_gradient, in_space, stress
 
-# A stress is hydrostatic where its deviator is below this share of it.
+# A stress is hydrostatic if its deviator is below this share of it.
 HYDROSTATIC = 1e-12
 
 
@@ -25,7 +25,7 @@ def von_mises(solution: Solution) -> Float:
 def principal_stresses(solution: Solution) -> Float:
     """Return the principal Cauchy stresses, the largest first (n_owned, 3) [stress].
 
-    ``x``, ``y`` and ``z`` are their components; the one across a line or plane body is among them.
+    ``x``, ``y`` and ``z`` are their components; they include the stress across a line or plane body.
     """
     return np.asarray(np.linalg.eigvalsh(in_space(stress)(solution))[:, ::-1])
 
@@ -34,7 +34,7 @@ def principal_strains(solution: Solution) -> Float:
     """Return the principal strains, the largest first (n_owned, 3) [-].
 
     Logarithms of the stretches of the mean F of each particle; in linear bodies, whose strain is small, the principal
-    values of ``(F + F^T) / 2 - I``. That across a line or plane body is among them: both lateral ones of a line are.
+    values of ``(F + F^T) / 2 - I``. They include the strain across a plane body, and both lateral strains of a line.
     """
     F = in_space(deformation_gradient)(solution)
     if solution.problem.material_term.linear:
@@ -45,7 +45,7 @@ def principal_strains(solution: Solution) -> Float:
 def triaxiality(solution: Solution) -> Float:
     """Return the mean stress over the von Mises stress (n_owned,) [-].
 
-    0 where there is no stress, infinite where it is hydrostatic to round-off.
+    0 if there is no stress, infinite if it is hydrostatic to round-off.
     """
     mean = _mean_stress(in_space(stress)(solution))
     equivalent = von_mises(solution)
@@ -55,16 +55,15 @@ def triaxiality(solution: Solution) -> Float:
 
 
 def damage_dissipation(solution: Solution) -> Float:
-    """Return what bonds or points that fail have dissipated per volume (n_owned,) [energy / volume].
+    """Return the energy dissipated by failing bonds or points per volume (n_owned,) [energy / volume].
 
-    Half of what a bond has is at each of its ends. Its integral over the body is ``pd.DissipatedEnergy()``. Zero where
-    nothing fails.
+    Each end of a bond has half of its energy. The integral over the body is ``pd.DissipatedEnergy()``.
 
     Raises
     ------
     CaseError
-        The damage laws do not tell: bonds that fail in a body of deformation gradients, and drives that are not of
-        linear bonds.
+        The damage laws do not define the energy: bonds that fail in a body of deformation gradients, and criteria for
+        which bonds are not linear.
     """
     if solution.problem.damage is None:
         return np.zeros(len(solution.x))

@@ -1,4 +1,4 @@
-"""Numbers and fields that the terms of a problem offer to the history and the files."""
+"""Numbers and fields of the terms of a problem for the history and the files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdpetsc.problem.state import State
 
 @dataclass(frozen=True)
 class TermNumber(Quantity):
-    """Sum over ranks of a number that a term offers (``Term.numbers``)."""
+    """Sum over ranks of a number of a term (``Term.numbers``)."""
 
     of_rank: Callable[[State], float]
 

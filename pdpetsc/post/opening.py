@@ -16,7 +16,7 @@ from pdpetsc.post.contour import Frame, frames
 from pdpetsc.post.quantities import Quantity
 from pdpetsc.post.solution import Solution
 
-# The displacement at a face is read from the particles on its side within so many horizons.
+# The displacement at a face is fitted to the particles on its side within so many horizons.
 AROUND = 1.25
 # Fits with moments nearer to singular than this are refused.
 EXTENT = 1e-3
@@ -27,23 +27,24 @@ class CrackOpening(Quantity):
     """Jump of the displacement across a crack line in a plane body [length].
 
     On each side a linear function is fitted to the displacements of the particles within 1.25 horizons of the point,
-    the nearer ones more, and taken at the point: linear fields on both sides are exact. Where the line is no crack the
-    jump is that of the fits, which vanishes with the curvature of the field. Mirror planes are seen through.
+    with larger weights for nearer ones, and evaluated at the point. It is exact for linear fields on both sides.
+    Without a crack the jump is the difference of the fits, which vanishes with the curvature of the field. Images
+    behind mirror planes are included.
 
     Parameters
     ----------
     start, end : (float, float)
         Ends of the line in the undeformed body [length].
     at : float
-        Where on it, 0 at the start and 1 at the end [-].
+        Position on the line, 0 at the start and 1 at the end [-].
     component : {"normal", "along"}
-        The jump along the normal, which is left of the way from start to end, positive where it opens; or along the
-        line, positive where the left side moves towards the end.
+        The jump along the normal, which points to the left of the direction from start to end, positive for opening; or
+        along the line, positive if the left side moves towards the end.
 
     Raises
     ------
     CaseError
-        The line has no length; or, of a body, too few particles are on one side of the point.
+        The line has no length. In a body: too few particles are on one side of the point.
 
     Examples
     --------
@@ -70,7 +71,7 @@ class CrackOpening(Quantity):
             raise CaseError(f"A CrackOpening is at a share of its line from 0 to 1, not {self.at}.")
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the body is not plane."""
+        """Raise CaseError if the body is not plane."""
         if dim != 2:
             raise CaseError(f"A CrackOpening is of a crack in a plane body; this one has {dim} dimensions.")
 
@@ -88,7 +89,7 @@ class CrackOpening(Quantity):
         solution : Solution
             A state, such as ``Result.solution``.
         points : int
-            How many points, in the middle of as many equal parts.
+            Number of points, in the middles of equal parts.
 
         Returns
         -------
@@ -99,14 +100,14 @@ class CrackOpening(Quantity):
 
         Notes
         -----
-        Collective; the same on all ranks.
+        Collective; equal on all ranks.
         """
         self.check(solution.problem.dim)
         share = (np.arange(points) + 0.5) / points
         return share * math.dist(self.start, self.end), self._jumps(solution, share)[:, ::-1]
 
     def _jumps(self, solution: Solution, share: Float) -> Float:
-        """Return the jumps along the line and its normal (n, 2) at shares of it (collective)."""
+        """Return the jumps along the line and its normal (n, 2) at shares of its length (collective)."""
         start, end = (np.asarray(one, dtype=float) for one in (self.start, self.end))
         moments, sums = np.zeros((len(share), 2, 3, 3)), np.zeros((len(share), 2, 3, 2))
         cloud = solution.cloud
@@ -132,7 +133,7 @@ class CrackOpening(Quantity):
 
 
 def _add(frame: Frame, x: Float, u: Float, radius: float, moments: Float, sums: Float) -> None:
-    """Add what the fits on the left (0) and on the right (1) of a point need of some particles."""
+    """Add the moments and sums of particles to the fits on the left (0) and on the right (1) of a point."""
     at, moved = frame.at(x) / radius, u @ frame.turn.T
     w = np.maximum(1.0 - (at**2).sum(axis=1), 0.0) ** 2
     phi = np.concatenate([np.ones((len(at), 1)), at], axis=1)

@@ -1,4 +1,4 @@
-"""What a picture of a run shows."""
+"""The declaration of a picture of a run."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ class Picture(Declared):
     """The deformed body coloured by a field component, in ``picture.png``; a bar is drawn as a curve.
 
     Particles of a lattice are drawn as deformed cells, others as deformed discs, to scale, with a circle of the size of
-    the horizon beside the body and both faces of cracks as lines. Solid bodies are drawn by PyVista where it is
-    installed.
+    the horizon beside the body and both faces of cracks as lines. Solid bodies are drawn by PyVista if it is installed.
 
     Parameters
     ----------
     field : Field
-        What colours the particles; it is added to the fields that are written.
+        Field for the colours; it is added to the written fields.
     component : str
         ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
     scale : float

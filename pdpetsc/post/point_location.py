@@ -1,4 +1,4 @@
-"""Which places are inside of a body, and which particle they belong to, as its own cells or its surface tell."""
+"""Location of points: inside or outside of a body, and their particle, by cells, surface or volumes."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import lattice_cells
 
-# A place this near to a face of a cell, as a share of its side, or to a facet, as a share of its extent, is on it.
+# A point this near to a face of a cell, as a share of its side, or to a facet, as a share of its extent, is on it.
 ON_FACE = 1e-9
-# Facets are the surface of a body where they are closed up to the first share of their area, and hold the volume of
-# the particles up to the second.
+# Facets are the surface of a body if they are closed up to the first share of their area, and enclose the volume of the
+# particles up to the second.
 CLOSED, HELD = 1e-6, 1e-3
 # Radius of a ball of volume 1, by dimension.
 BALL = {1: 0.5, 2: np.pi**-0.5, 3: (0.75 / np.pi) ** (1.0 / 3.0)}
-# Two particles hold what lies between them where neither is farther from it than so many of its sizes.
+# Points between two particles are inside if neither particle is farther away than so many of its sizes.
 BETWEEN = {1: 1.0, 2: 1.25, 3: 1.5}
-# Particles that are looked at for one beyond a place.
+# Number of particles searched for one beyond a point.
 AROUND = {1: 6, 2: 24, 3: 48}
-# A particle is no larger than so many mean distances from its neighbours, whatever its volume.
+# A particle is not larger than so many mean distances to its neighbours, whatever its volume.
 LARGEST = 1.5
-# Facets that are looked at for the nearest one, of each size.
+# Number of facets of each size searched for the nearest one.
 FACETS = 16
-# A disc in the place of a facet is this share of its radius too near or too far at most, where facets are no slivers.
+# The distance of a disc instead of a facet has an error of at most this share of its radius, unless facets are slivers.
 UNKNOWN = 0.6
 
 
 class Inside(Protocol):
-    """What tells which places are inside of a body."""
+    """Locates points in a body."""
 
     @property
     def sides(self) -> Float:
-        """Return lengths along the axes (dim,) over which particles are about as far apart in all directions."""
+        """Return lengths along the axes (dim,) by which distances of particles are about equal in all directions."""
 
     def homes(self, points: Float) -> GlobalIndex:
-        """Return the particle that places (m, dim) belong to (m,), -1 outside of the body."""
+        """Return the particles of points (m, dim), (m,); -1 outside of the body."""
 
     def size(self, particles: GlobalIndex) -> Float:
-        """Return how large particles (m,) are [length]."""
+        """Return the sizes of particles (m,) [length]."""
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Equal box cells with a particle in the middle of each: the body is where cells are.
+    """A body of equal box cells with a particle in the middle of each.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Boxes:
     sides: Float
 
     def homes(self, points: Float) -> GlobalIndex:
-        """Return the particle in whose cell places are; on a face of the body the one inside, on others the upper."""
+        """Return the particles whose cells contain the points; on inner faces the upper one."""
         place = (points - self.x.min(axis=0)) / self.sides + 0.5
         found = np.full(len(points), -1, dtype=np.int64)
         for corner in range(2 ** len(self.sides)):
@@ -78,7 +78,7 @@ class Boxes:
 
     @cached_property
     def _numbered(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return cells along each axis, what multiplies their numbers, and the sorted numbers with their order."""
+        """Return cells along each axis, the factors of their numbers, and the sorted numbers with their order."""
         cell = np.round((self.x - self.x.min(axis=0)) / self.sides).astype(np.int64)
         width = cell.max(axis=0) + 1
         weights = np.concatenate([[1], np.cumprod(width[:-1])])
@@ -95,13 +95,13 @@ class Boxes:
 
 
 def apart(x: Float) -> Float:
-    """Return the mean distance of each of two or more places (n, dim) from what is next to it (n,) [length]."""
+    """Return the mean distance of each of two or more points (n, dim) to its nearest neighbours (n,) [length]."""
     distance, _ = scipy.spatial.cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))
     return np.asarray(distance[:, 1:].mean(axis=1))
 
 
 class _Nearest:
-    """Finds what is nearest, measured in its own size: of each factor of two in size a tree."""
+    """Search for the nearest items by distance over size, with one tree for each factor of two in size."""
 
     def __init__(self, x: Float, size: Float) -> None:
         self._x, self._size = x, size
@@ -110,14 +110,14 @@ class _Nearest:
         self._trees = [scipy.spatial.cKDTree(x[members]) for members in self._members]
 
     def query(self, points: Float, k: int) -> tuple[Float, GlobalIndex]:
-        """Return distances over sizes, and which (m, k) at most, the nearest first."""
+        """Return distances over sizes and indices of at most k items (m, k), the nearest first."""
         near = self.of_each_size(points, k)
         distance = np.linalg.norm(self._x[near] - points[:, None], axis=2) / self._size[near]
         order = np.argsort(distance, axis=1, kind="stable")[:, :k]
         return np.take_along_axis(distance, order, axis=1), np.take_along_axis(near, order, axis=1)
 
     def of_each_size(self, points: Float, k: int) -> GlobalIndex:
-        """Return the ``k`` nearest ones of each factor of two in size (m, ...)."""
+        """Return the ``k`` nearest items of each factor of two in size (m, ...)."""
         found = []
         for tree, members in zip(self._trees, self._members, strict=True):
             most = min(k, len(members))
@@ -127,10 +127,10 @@ class _Nearest:
 
 @dataclass(frozen=True)
 class Discs:
-    """Particles of which nothing is known but where they are and how large.
+    """A body of particles with known positions and volumes only.
 
-    The body is where their discs, or balls, of their own volumes are, and what lies between two particles: in the
-    ball whose diameter goes from the one to the other.
+    The body is the union of discs, or balls, with the volumes of the particles, and of the balls whose diameters
+    connect two near particles.
 
     Attributes
     ----------
@@ -151,20 +151,20 @@ class Discs:
 
     @property
     def sides(self) -> Float:
-        """Return the same in all directions."""
+        """Return equal lengths in all directions."""
         return np.ones(self.x.shape[1])
 
     def size(self, particles: GlobalIndex) -> Float:
-        """Return the sides of cubes of their volumes."""
+        """Return the sides of cubes with their volumes."""
         return self.h[particles]
 
     def homes(self, points: Float) -> GlobalIndex:
-        """Return the nearest particle, each distance measured in the size of the particle."""
+        """Return the nearest particle, by distance over size of the particle."""
         dim = self.x.shape[1]
         distance, near = self._nearest.query(points, AROUND[dim])
         home = near[:, 0]
         there, back = self.x[near] - points[:, None], self.x[home] - points
-        # Rounding does not decide on the ball itself, where the middles of faces of cells lie.
+        # The tolerance keeps rounding from deciding on the ball itself, on which the middles of faces of cells are.
         round_off = ON_FACE * self.h[home][:, None] ** 2
         beyond = ((there * back[:, None]).sum(axis=2) <= round_off) & (distance <= BETWEEN[dim])
         held = (distance[:, 0] <= BALL[dim] * (1.0 + ON_FACE)) | (
@@ -190,7 +190,7 @@ class Facets:
     x, area : (m, dim) float64
         Centroids [length] and outward vector areas [area].
     triangles : (k, 3, 3) float64
-        The whole surface of a solid body as triangles, outward by the right hand [length]; none where not known.
+        The whole surface of a solid body as triangles, outward by the right-hand rule [length]; none if unknown.
     """
 
     x: Float
@@ -202,27 +202,27 @@ class Surface(Protocol):
     """A closed surface."""
 
     def holds(self, points: Float) -> Mask:
-        """Return which places (m, dim) are known to be inside (m,)."""
+        """Return True for points (m, dim) known to be inside (m,)."""
 
 
 @dataclass(frozen=True)
 class Enclosed:
-    """A body whose surface is known: a place is inside where that holds it."""
+    """A body with a known surface: a point is inside if the surface encloses it."""
 
     discs: Discs
     surface: Surface
 
     @property
     def sides(self) -> Float:
-        """Return the same in all directions."""
+        """Return equal lengths in all directions."""
         return self.discs.sides
 
     def size(self, particles: GlobalIndex) -> Float:
-        """Return the sides of cubes of their volumes."""
+        """Return the sides of cubes with their volumes."""
         return self.discs.size(particles)
 
     def homes(self, points: Float) -> GlobalIndex:
-        """Return the nearest particle, each distance measured in the size of the particle."""
+        """Return the nearest particle, by distance over size of the particle."""
         near = self.discs.nearest(points)
         held = np.zeros(len(points), dtype=bool)
         for part in np.array_split(np.arange(len(points)), 1 + len(points) // 20_000):
@@ -232,10 +232,10 @@ class Enclosed:
 
 @dataclass(frozen=True)
 class Flat:
-    """Facets of which area and middle are known: ends of a line, lines in the plane, in space discs of their area.
+    """Facets with known area and middle: ends of a line, lines in the plane, discs of equal area in space.
 
-    A place is inside where it is behind the nearest of them. The outlines of facets in space are not known; where
-    facets that might be the nearest do not agree, as outside of edges and next to hollow ones, it is not inside.
+    A point is inside if it is behind the nearest facet. Outlines of facets in space are unknown: if facets that may be
+    the nearest disagree, as near edges, the point is outside.
 
     Attributes
     ----------
@@ -250,7 +250,7 @@ class Flat:
     reach: Float
 
     def holds(self, points: Float) -> Mask:
-        """Return which places are behind the nearest facet."""
+        """Return True for points behind the nearest facet."""
         near = self._nearest.of_each_size(points, FACETS)
         away = points[:, None] - self.x[near]
         height = (away * self.normals[near]).sum(axis=2)
@@ -261,27 +261,27 @@ class Flat:
         if self.x.shape[1] == 3:
             may_be = distance <= first + UNKNOWN * extent
             return np.asarray((~may_be | (height <= ON_FACE * extent)).all(axis=1))
-        # Where two lines meet in a corner their normals count together.
+        # At a corner of two lines their normals are added.
         beside = distance <= first + 1e3 * ON_FACE * extent
         return np.asarray(np.where(beside, height, 0.0).sum(axis=1) <= ON_FACE * extent.max(axis=1))
 
     @cached_property
     def _nearest(self) -> _Nearest:
-        # Those of a line body have no extent.
+        # Facets of a line body have no extent.
         return _Nearest(self.x, self.reach if self.reach.min() > 0.0 else np.ones(len(self.x)))
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """A surface of triangles (k, 3, 3) [length]: a place is inside where it is behind the nearest of them.
+    """A surface of triangles (k, 3, 3) [length]: a point is inside if it is behind the nearest triangle.
 
-    Where the nearest point is on an edge or corner whose triangles do not agree, their solid angles tell.
+    If triangles disagree at the nearest edge or corner, solid angles decide.
     """
 
     corners: Float
 
     def holds(self, points: Float) -> Mask:
-        """Return which places are inside."""
+        """Return True for points inside."""
         near = self._nearest.of_each_size(points, FACETS)
         corners, (normal, size) = self.corners[near], (one[near] for one in self._normals)
         foot = _foot(points[:, None], corners)
@@ -308,9 +308,9 @@ class Triangles:
 
 
 def _foot(p: Float, corners: Float) -> Float:
-    """Return the points of triangles (m, k, 3, 3) that are nearest to places (m, 1, 3), by the regions around them.
+    """Return the points of triangles (m, k, 3, 3) nearest to points (m, 1, 3), by the regions around them.
 
-    The nearest point of the plane where that is within the triangle, else the nearest one on a side.
+    The nearest point of the plane if it is within the triangle, else the nearest point of a side.
     """
     a, b, c = np.moveaxis(corners, 2, 0)
     ab, ac, ap = b - a, c - a, p - a
@@ -332,7 +332,7 @@ def _foot(p: Float, corners: Float) -> Float:
 
 
 def _turns(corners: Float) -> float:
-    """Return how often triangles (k, 3, 3) go around the origin: their solid angles over that of a sphere.
+    """Return the winding numbers of triangles (k, 3, 3) about the origin: solid angles over that of a sphere.
 
     By the formula of Van Oosterom and Strackee.
     """
@@ -344,7 +344,7 @@ def _turns(corners: Float) -> float:
 
 
 def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None = None) -> Inside:
-    """Return what tells which places are inside of a body: its cells, else its facets, else discs of its particles.
+    """Return the point location of a body: by its cells, else by its facets, else by discs of its particles.
 
     Parameters
     ----------
@@ -373,7 +373,7 @@ def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None =
     open_by = np.linalg.norm(area.sum(axis=0)) / size.sum()
     held = float(((places - middle) * area).sum()) / dim
     if open_by > CLOSED or abs(held - volume.sum()) > HELD * volume.sum():
-        # A part of a surface tells nothing of what lies beyond the rest.
+        # A part of the surface is not sufficient to locate points.
         return discs
     if len(facets.triangles):
         return Enclosed(discs, Triangles(facets.triangles))
@@ -383,18 +383,18 @@ def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None =
 
 @dataclass(frozen=True)
 class Held:
-    """Which particles hold together: those whose bond is neither broken nor cut by a crack.
+    """Connection of particles: their bond is neither broken nor cut by a crack.
 
     Attributes
     ----------
     x : (n, dim) float64
         Positions [length].
     cracks : sequence of Crack
-        That cut from the start.
+        Pre-cracks of the case.
     broken : (k, 2) int64
         Pairs of particles whose bond is broken.
     horizon : float
-        Particles farther apart have no bond, so that nobody knows whether something lies between them [length].
+        Particles farther apart have no bond; their connection is unknown [length].
     """
 
     x: Float
@@ -403,7 +403,7 @@ class Held:
     horizon: float = np.inf
 
     def together(self, home: GlobalIndex, near: GlobalIndex) -> Mask:
-        """Return which particles near a home (m, k) hold together with it (m,)."""
+        """Return True for particles near a home particle (m, k) that are connected with it (m,)."""
         a, b = np.repeat(self.x[home], near.shape[1], axis=0), self.x[near.ravel()]
         held = ~self.cut(a, b).reshape(near.shape)
         if len(self.broken):
@@ -413,14 +413,14 @@ class Held:
         return np.asarray(held | (near == home[:, None]))
 
     def cut(self, a: Float, b: Float) -> Mask:
-        """Return which lines from ``a`` to ``b`` (n, dim) a crack crosses that was there from the start."""
+        """Return True for lines from ``a`` to ``b`` (n, dim) that a pre-crack crosses."""
         found = np.zeros(len(a), dtype=bool)
         for crack in self.cracks:
             found |= crack.cuts(a, b)
         return found
 
     def on_side(self, points: Float, homes: GlobalIndex, sides: Float) -> GlobalIndex:
-        """Return homes (m,) on the side of cracks on which places (m, dim) are; those on a crack keep theirs."""
+        """Return home particles (m,) on the same side of cracks as points (m, dim); unchanged on a crack."""
         if not self.cracks:
             return homes
         wrong = np.flatnonzero(homes >= 0)

@@ -1,4 +1,4 @@
-"""Quantities of interest: one number per step, evaluated in parallel."""
+"""Quantities of interest: one number per step."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from pdpetsc.post.solution import (
 )
 
 EVERYWHERE = All()
-# Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
+# Letters of a component of each field of pdpetsc; components of user fields are checked at evaluation.
 _LETTERS: dict[Field, int] = {
     **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, local_horizon, temperature), 0),
     **dict.fromkeys((damage_dissipation, triaxiality, von_mises), 0),
     **dict.fromkeys((displacement, heat_flux, principal_strains, principal_stresses, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
-# What kind of number each field of pdpetsc is; the others are pure numbers, or have units that no label is made for.
+# Dimensions of the fields of pdpetsc; others are pure numbers, or have units without a label.
 _DIMENSIONS: dict[Field, str] = {
     **dict.fromkeys((displacement, local_horizon), "length"),
     **dict.fromkeys((stress, first_piola_stress, von_mises, principal_stresses), "stress"),
@@ -53,16 +53,16 @@ _DIMENSIONS: dict[Field, str] = {
     reaction: "force",
     temperature: "temperature",
 }
-# Fields of three values whatever the dimension of the body, which are not along axes.
+# Fields of three values in every dimension of the body, not along axes.
 _PRINCIPAL: tuple[Field, ...] = (principal_strains, principal_stresses)
-# Fields that next to a surface are as good as inside.
+# Fields that are as accurate next to a surface as inside.
 _NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds, temperature)
 
 
 class Quantity(Declared, ABC):
-    """A number that is computed from every converged step for the history.
+    """A number of every converged step for the history.
 
-    A quantity that has a ``region`` takes a name in its place, as conditions do.
+    The ``region`` of a quantity may be the name of a side or of a set, as for conditions.
     """
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class Quantity(Declared, ABC):
 
     @property
     def dimension(self) -> str:
-        """Return what kind of number it is, as ``Units.of`` takes it; empty for pure numbers and where unknown."""
+        """Return its dimension for ``Units.of``; empty for pure numbers and unknown dimensions."""
         return ""
 
     @abstractmethod
@@ -79,23 +79,23 @@ class Quantity(Declared, ABC):
         """Return the value (collective)."""
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions lacks what is asked for; nothing is computed."""
+        """Raise CaseError if the quantity does not fit a body of ``dim`` dimensions; nothing is computed."""
 
     def note(self, solution: Solution) -> str:
-        """Return what a user should know who reads the value, as the end of a sentence; empty mostly (collective)."""
+        """Return a note on the value for the user, as the end of a sentence; usually empty (collective)."""
         return ""
 
     def doubt(self, solution: Solution) -> str:
-        """Return why the value of a converged step may be wrong, as the end of a sentence; empty mostly (collective).
+        """Return why the value of a converged step may be wrong, as the end of a sentence; usually empty (collective).
 
-        Runs warn of it and keep it in their summary under ``doubts``.
+        Runs warn and store it in their summary under ``doubts``.
         """
         return ""
 
     def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool] | None:
-        """Return lines or surfaces that a run leaves as a file, each as points (n, dim), and whether they are closed.
+        """Return lines or surfaces for a file, each as points (n, dim), and True if they are closed.
 
-        The same on all ranks; None where there is nothing to draw (collective).
+        Equal on all ranks; None if there is nothing to draw (collective).
         """
         return None
 
@@ -110,7 +110,7 @@ class _OfField(Quantity):
 
     @property
     def dimension(self) -> str:
-        """Return what kind of number it is."""
+        """Return its dimension."""
         return dimension_of(self.field)
 
     def __post_init__(self) -> None:
@@ -118,7 +118,7 @@ class _OfField(Quantity):
         refuse_component(self, self.field, self.component)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        """Raise CaseError if the component does not exist in a body of ``dim`` dimensions."""
         refuse_component(self, self.field, self.component, dim)
         self.region.check(dim)
 
@@ -134,7 +134,7 @@ class Mean(_OfField):
     component : str
         ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
     region : Region
-        Where; everywhere by default.
+        The particles; by default all.
 
     Examples
     --------
@@ -153,13 +153,13 @@ class Mean(_OfField):
 
 @dataclass(frozen=True)
 class PathOpening(Quantity):
-    """The measure of a path by ``Opening``: the mean displacement of its region against that of the other [length]."""
+    """The measure of a path by ``Opening``: mean displacement of its region relative to the other [length]."""
 
     measure: Opening
 
     @property
     def dimension(self) -> str:
-        """Return what kind of number it is."""
+        """Return its dimension."""
         return "length"
 
     def evaluate(self, solution: Solution) -> float:
@@ -189,7 +189,7 @@ class Reaction(Quantity):
     component : str
         ``"x"``, ``"y"`` or ``"z"``.
     region : Region
-        Where; everywhere by default.
+        The particles; by default all.
 
     Examples
     --------
@@ -207,7 +207,7 @@ class Reaction(Quantity):
         refuse_component(self, reaction, self.component)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        """Raise CaseError if the component does not exist in a body of ``dim`` dimensions."""
         refuse_component(self, reaction, self.component, dim)
         self.region.check(dim)
 
@@ -217,7 +217,7 @@ class Reaction(Quantity):
         return float(solution.sum(component(reaction(solution), self.component)[mask].sum()))
 
     def note(self, solution: Solution) -> str:
-        """Return that it is zero where nothing is held."""
+        """Return a note if nothing is held in the region and the reaction is zero."""
         mask = solution.select(self.region)
         fixed = solution.problem.supports.fixed[: len(mask), "xyz".index(self.component)]
         if int(solution.sum(float(np.count_nonzero(mask & fixed)))):
@@ -236,7 +236,7 @@ class _OfCell(Quantity):
         refuse_component(self, stress, self.component)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a cell of ``dim`` dimensions has no such component."""
+        """Raise CaseError if the component does not exist in a cell of ``dim`` dimensions."""
         refuse_component(self, stress, self.component, dim)
 
 
@@ -276,9 +276,9 @@ class CellStress(_OfCell):
 
 @dataclass(frozen=True)
 class StrainEnergy(Quantity):
-    """Strain energy of the body without that of its zero-energy control [energy].
+    """Strain energy of the body without the energy of its zero-energy control [energy].
 
-    Of a material that flows or relaxes it is all that its stress has stored and lost, plastic work included.
+    For a material that flows or relaxes it is the total work of its stress, plastic work included.
 
     Examples
     --------
@@ -295,7 +295,7 @@ class StrainEnergy(Quantity):
 
 @dataclass(frozen=True)
 class ControlEnergy(Quantity):
-    """Energy of the zero-energy control [energy]; small against the strain energy where the control disturbs little.
+    """Energy of the zero-energy control [energy]; small relative to the strain energy if the control has little effect.
 
     Examples
     --------
@@ -314,7 +314,7 @@ class ControlEnergy(Quantity):
 class ExternalWork(Quantity):
     """Work of loads and supports since the undeformed state [energy], by the trapezoidal rule over the steps.
 
-    Along a path, over all equilibria that a step passes through while bonds break.
+    Along a path, it includes all equilibria within a step while bonds break.
 
     Examples
     --------
@@ -333,17 +333,17 @@ class ExternalWork(Quantity):
 class DissipatedEnergy(Quantity):
     """Energy that the body has dissipated [energy].
 
-    In bond-based bodies it is what the damage laws of the bonds have dissipated, which does not depend on the steps; in
-    elastic bodies without damage it is 0. In other bodies, and where a term of the case has a history, it is the
-    external work less the stored energy: that also contains the energy set free by jumps within a load step and the
-    error of the trapezoidal rule. Where the material flows as well as its bonds fail, the stored energy contains what
-    flow has lost: the difference is what failing bonds dissipate.
+    In bond-based bodies it is the energy dissipated by the damage laws, which does not depend on the steps; in elastic
+    bodies without damage it is 0. In other bodies, and if a term of the case has a history, it is the external work
+    minus the stored energy. This difference also contains the energy released by jumps within a load step and the error
+    of the trapezoidal rule. If the material flows and bonds fail, the stored energy contains the plastic work: the
+    difference is the dissipation of failing bonds.
 
     Raises
     ------
     CaseError
-        At the start of the run: the material flows or relaxes and no bonds fail, so that the stored energy, which
-        contains what is lost, leaves nothing; or a body that expands has no laws that tell the energy.
+        At the start of the run: the material flows or relaxes and no bonds fail, so that the stored energy contains the
+        dissipation; or a body with thermal strain or eigenstrain has no laws that define the energy.
 
     Examples
     --------
@@ -380,11 +380,11 @@ class CrackTip(Quantity):
     Parameters
     ----------
     direction : tuple of float
-        Direction in which the crack grows; its length does not matter.
+        Direction of crack growth, of any length.
     damage : float
-        Local damage above which a particle counts as cracked [-]; beside a straight crack it is about a third.
+        Local damage above which a particle is cracked [-]; beside a straight crack it is about a third.
     region : Region
-        Where the crack is.
+        Region of the crack.
 
     Examples
     --------
@@ -405,13 +405,13 @@ class CrackTip(Quantity):
             raise CaseError(f"A CrackTip needs a direction that is not zero, not {self.direction}.")
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the direction or the region does not fit a body of ``dim`` dimensions."""
+        """Raise CaseError if the direction or the region does not fit a body of ``dim`` dimensions."""
         if len(self.direction) != dim:
             raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the coordinate [length]; the least one of the whole body where no particle is cracked."""
+        """Return the coordinate [length]; the smallest one of the whole body if no particle is cracked."""
         self.check(solution.x.shape[1])
         axis = np.asarray(self.direction, dtype=float)
         along = solution.x @ (axis / np.linalg.norm(axis))
@@ -422,7 +422,7 @@ class CrackTip(Quantity):
 
 @dataclass(frozen=True)
 class BrokenBonds(Quantity):
-    """Number of broken bonds, each pair of particles counted once; those that a pre-crack cuts are not counted.
+    """Number of broken bonds, each pair of particles counted once, without bonds cut by a pre-crack.
 
     Examples
     --------
@@ -460,22 +460,21 @@ class Largest(_OfField):
 class OnSurface(_OfField):
     """A field component on facets of the surface: their mean by area, or the largest value.
 
-    Particles sit half a cell inside the body, and their gradients next to the surface have an error of a share of a
-    spacing times the next derivative. A stress, or any other field but those below, is therefore extrapolated linearly
-    from the particles around the one behind a facet that have no facet themselves: a linear field is exact, others
-    converge with first order or better. Where curvature over two horizons matters, as at small holes, refine.
-    Displacements, reactions, damage and lost bonds are not of gradients: they are interpolated,
-    ``sum_k N_f(x_k) v_k`` with the linear-exact weights of the facets, as everything is in bodies of so few layers that
-    every particle has a facet, or one layer in between.
+    Particles are half a cell inside the body, and gradients next to the surface have an error of a share of a spacing
+    times the next derivative. Stress and other fields of gradients are therefore extrapolated linearly from particles
+    without facets around the particle behind a facet. Linear fields are exact, others converge with first order or
+    better. Refine if curvature over two horizons matters, as at small holes. Displacements, reactions, damage and lost
+    bonds are interpolated, ``sum_k N_f(x_k) v_k`` with the linear-exact weights of the facets. So are all fields in
+    thin bodies, with at most one layer of particles without facets.
 
     Parameters
     ----------
     field, component
         As for ``Mean``.
     region : Region
-        The facets in it, or a tag of them.
+        The facets in the region, or their tag.
     take : {"mean", "largest"}
-        Which number.
+        The mean by area, or the largest value.
 
     Examples
     --------
@@ -493,7 +492,7 @@ class OnSurface(_OfField):
             raise CaseError(f'An OnSurface takes take="mean" or "largest", not {self.take!r}.')
 
     def on_facets(self, solution: Solution) -> tuple[Float, Float, Float]:
-        """Return the centroids (n, dim) [length] and vector areas (n, dim) of this rank's facets, and the field there.
+        """Return centroids (n, dim) [length] and vector areas (n, dim) of local facets, and the field there.
 
         Collective.
         """
@@ -503,7 +502,7 @@ class OnSurface(_OfField):
         values = _component_of(solution, self.field, self.component)
         sign = None
         if len(cloud.sign) and not any(self.field is known for known in _PRINCIPAL):
-            # A component along the normal of a mirror plane changes its sign behind it.
+            # A component along the normal of a mirror plane changes its sign in the image.
             sign = cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
         if any(self.field is known for known in _NOT_OF_GRADIENTS):
             found = _interpolated(cloud, surface, values, sign)
@@ -523,7 +522,7 @@ class OnSurface(_OfField):
 
 
 def _interpolated(cloud: Cloud, surface: Surface, values: Float, sign: Float | None) -> Float:
-    """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` of the own particles (n_owned,) (collective)."""
+    """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` of the owned particles (n_owned,) (collective)."""
     local = np.zeros(cloud.n_local)
     local[: cloud.n_owned] = values
     cloud.halo.forward(local)
@@ -534,14 +533,14 @@ def _interpolated(cloud: Cloud, surface: Surface, values: Float, sign: Float | N
 
 @dataclass(frozen=True)
 class _Against(Quantity):
-    """A quantity of the difference of a field from a reference function of position over a region."""
+    """A quantity of the difference between a field and a reference function of position over a region."""
 
     field: Field
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
+        """Raise CaseError if the region does not fit a body of ``dim`` dimensions."""
         self.region.check(dim)
 
 
@@ -552,11 +551,11 @@ class RelativeError(_Against):
     Parameters
     ----------
     field : Field
-        What is compared.
+        The field to compare.
     reference : callable
-        ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
+        ``reference(x, t)`` with (n, dim) positions returns values in the shape of the field.
     region : Region
-        Where; particles with zero reference are left out. NaN where it is zero everywhere.
+        The particles; those with zero reference are excluded. NaN if the reference is zero everywhere.
 
     References
     ----------
@@ -590,7 +589,7 @@ class LargestError(_Against):
     Parameters
     ----------
     field, reference, region
-        As for ``RelativeError``; particles with zero reference count too.
+        As for ``RelativeError``; particles with zero reference are included.
 
     Examples
     --------
@@ -600,7 +599,7 @@ class LargestError(_Against):
 
     @property
     def dimension(self) -> str:
-        """Return what kind of number it is."""
+        """Return its dimension."""
         return dimension_of(self.field)
 
     def evaluate(self, solution: Solution) -> float:
@@ -614,7 +613,7 @@ class LargestError(_Against):
 def _reference(
     solution: Solution, function: Callable[[Float, float], Float], mask: Mask, shape: tuple[int, ...]
 ) -> Float:
-    """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
+    """Return the values of a reference function in the shape of the field for particles of a mask (collective)."""
     with agreed(solution.cloud.comm):
         if not mask.any():
             return np.zeros(shape)
@@ -629,7 +628,7 @@ def _reference(
 
 
 def _values(solution: Solution, field: Field) -> Float:
-    """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
+    """Return a field: one value, vector or tensor per owned particle on every rank (collective)."""
     values = field(solution)
     with agreed(solution.cloud.comm):
         return np.asarray(rows_of_field(field, values, len(solution.x)), dtype=float)
@@ -643,16 +642,16 @@ def _component_of(solution: Solution, field: Field, name: str) -> Float:
 
 
 def dimension_of(field: Field) -> str:
-    """Return what kind of number a field is, as ``Units.of`` takes it; empty for pure numbers and where unknown."""
+    """Return the dimension of a field for ``Units.of``; empty for pure numbers and unknown dimensions."""
     wanted = getattr(field, "__wrapped__", field)
-    # A field may be an object that cannot be looked up by its hash.
+    # A field may be an object that is not hashable.
     return next((found for known, found in _DIMENSIONS.items() if known is wanted), "")
 
 
 def refuse_component(declared: object, field: Field, component: str, dim: int = 3) -> None:
-    """Raise CaseError if the field of a declared object has no such component in ``dim`` dimensions."""
+    """Raise CaseError if the field of a declared object lacks the component in ``dim`` dimensions."""
     letters = "xyz" if any(field is known for known in _PRINCIPAL) else "xyz"[:dim]
-    # A field may be an object that cannot be looked up by its hash.
+    # A field may be an object that is not hashable.
     ours = [number for known, number in _LETTERS.items() if known is field]
     wanted = ours[0] if ours else min(len(component), 2)
     if len(component) == wanted and set(component) <= set(letters):
@@ -666,7 +665,7 @@ def refuse_component(declared: object, field: Field, component: str, dim: int = 
 
 
 def _axes(solution: Solution, name: str) -> tuple[int, int]:
-    """Return the pair of directions of a component that the cell has."""
+    """Return the pair of directions of a component of the cell."""
     images = solution.cloud.images
     if images is None:
         raise CaseError("The mean strain and stress are those of a periodic cell; give the Case a cell.")

@@ -1,4 +1,4 @@
-"""Values of a field between particles."""
+"""Interpolation of a field between particles."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
 from pdpetsc.post.point_location import Held, Inside
 
-# Nearest particles that a value is fitted to, by the dimension of the body.
+# Number of nearest particles in a fit, by the dimension of the body.
 FITTED = {1: 4, 2: 10, 3: 24}
-# Singular values below this share of the largest belong to directions in which the particles do not differ.
+# Singular values below this share of the largest belong to directions without extent of the cloud.
 FLAT = 1e-8
-# Particles fix a slope in as many directions as singular values of their fit are above this share of the largest.
+# The rank of a fit is the number of singular values above this share of the largest.
 THIN = 1e-3
-# At most so many nearest particles are looked at for one point, and so many for all points at once.
+# Largest number of nearest particles searched for one point, and for all points at once.
 MOST, AT_ONCE = 4096, 1_000_000
 
 
 def line(start: Sequence[float], end: Sequence[float], n: int = 101) -> Float:
-    """Return ``n`` points evenly from start to end, both included (n, d) [length], for ``Result.sample``.
+    """Return ``n`` equidistant points from start to end, both included (n, d) [length], for ``Result.sample``.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def line(start: Sequence[float], end: Sequence[float], n: int = 101) -> Float:
 def grid(low: Sequence[float], high: Sequence[float], n: Sequence[int]) -> Float:
     """Return the points of a regular grid (n[0] n[1] ..., d) [length], for ``Result.sample``, the last axis fastest.
 
-    ``values.reshape(*n, ...)`` of what is sampled there has an axis for each direction of the grid.
+    ``values.reshape(*n, ...)`` of sampled values has an axis for each direction of the grid.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def grid(low: Sequence[float], high: Sequence[float], n: Sequence[int]) -> Float
 
 
 def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | None = None) -> Float:
-    """Return a field at points, by a linear fit to the nearest particles, of which nearer ones count for more.
+    """Return a field at points by a weighted linear fit to the nearest particles.
 
-    A linear field is met exactly. Only particles count that hold together with the one that the point belongs to: not
-    those beyond a crack. Where they are too few for a slope, the point has the value of its particle.
+    A linear field is exact. The fit uses only particles connected with the particle of the point, not those beyond a
+    crack. If they are too few for a slope, the point has the value of its particle.
 
     Parameters
     ----------
@@ -91,34 +91,34 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
     values : (n, ...) float64
         The field there.
     points : (m, d) float64
-        Where it is asked for in the undeformed body [length], with as many coordinates as the body has directions, or
-        three; (m,) is a list of places along a line body. May be empty.
+        Positions in the undeformed body [length], with as many coordinates as the body has dimensions, or three; (m,)
+        is a list of positions along a line body. May be empty.
     body : Inside
-        What tells where the body is, in its own dimension.
+        Point location of the body, in its own dimension.
     held : Held, optional
-        Which particles hold together; all where absent.
+        Connection of particles; by default all are connected.
 
     Returns
     -------
     (m, ...) float64
-        nan outside of the body. Points of three coordinates that lie off a line or plane body by more than the size of
-        its particles have nan too.
+        nan outside of the body, also for points of three coordinates farther from a line or plane body than the size of
+        its particles.
 
     Raises
     ------
     CaseError
-        The points have another number of coordinates or are not finite, or one particle alone, which has a value only
-        where it is, is asked for one elsewhere.
+        The points have a wrong number of coordinates or are not finite, or the body is a single particle and a point is
+        not at it.
     """
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0)
     given = np.asarray(points, dtype=float)
     if given.size == 0:
         return np.empty((0, *np.shape(values)[1:]))
     if given.ndim < 2:
-        # One number after another are places along a line; else they are the coordinates of one point.
+        # A list of numbers is positions along a line body; otherwise it is the coordinates of one point.
         given = given.reshape((-1, 1) if len(axes) == 1 else (1, -1))
     columns = np.arange(len(body.sides))
-    # What number of directions one particle has is not known from where it is.
+    # The dimension of a single particle is not known from its position.
     allowed = (3, len(columns), len(axes)) if len(x) > 1 else (1, 2, 3)
     if given.ndim != 2 or given.shape[1] not in allowed:
         shape = "x".join(str(n) for n in given.shape)
@@ -134,7 +134,7 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
     elif given.shape[1] == len(columns):
         at = given
     else:
-        # Along the axes in which the particles of a single row or layer differ.
+        # Along the axes of the extent of a single row or layer.
         at = np.repeat(x[:1, columns], len(given), axis=0)
         at[:, np.searchsorted(columns, axes)] = given
     homes = body.homes(at)
@@ -146,7 +146,7 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
         homes = np.where(off, -1, homes)
     found = np.full((len(at), *np.shape(values)[1:]), np.nan)
     within = np.flatnonzero(homes >= 0)
-    # Particles of cells with unequal sides are as far apart in all directions where these are the unit.
+    # In units of the cell sides, distances of particles are equal in all directions.
     spread = np.isin(columns, axes)
     sides = body.sides[spread]
     found[within] = _fitted(
@@ -156,7 +156,7 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
 
 
 def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held | None) -> Float:
-    """Return the linear fits (m, ...) at places (m, d) that belong to particles (m,)."""
+    """Return the linear fits (m, ...) at points (m, d) of particles (m,)."""
     found = np.array(values[homes])
     tree = scipy.spatial.cKDTree(x)
     rank = np.linalg.matrix_rank(x - x.mean(axis=0), tol=FLAT * float(np.ptp(x, axis=0).max()))
@@ -176,7 +176,7 @@ def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held |
 
 
 def _fits(xi: Float, distance: Float, counts: Mask, rank: int) -> tuple[Float, Mask]:
-    """Return the weights (m, k) of a linear fit at the origin of places (m, k, dim), and whether they fix it (m,)."""
+    """Return the weights (m, k) of a linear fit at the origin of points (m, k, dim), and True if it is unique (m,)."""
     farthest = np.where(counts, distance, 0.0).max(axis=1)
     scale = np.maximum(farthest, np.finfo(float).tiny)[:, None]
     weight = np.where(counts, np.exp(-((2.0 * np.minimum(distance / scale, 1.0)) ** 2)), 0.0)
@@ -186,7 +186,7 @@ def _fits(xi: Float, distance: Float, counts: Mask, rank: int) -> tuple[Float, M
 
 
 def _of_one(x: Float, values: Float, given: Float) -> Float:
-    """Return the value of one particle at points (m, d), all of which are at it."""
+    """Return the value of a single particle at points (m, d), all at its position."""
     d = given.shape[1]
     apart = np.linalg.norm(given - x[0, :d], axis=1)
     far = np.flatnonzero(apart > FLAT * np.abs(x[0, :d]).max())

@@ -1,4 +1,4 @@
-"""The state after a converged step, as outputs and quantities of interest see it."""
+"""The state after a converged step, for output and quantities of interest."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pdpetsc.terms.heat import Heat
 
 
 class Solution:
-    """Displacements of the own particles and what follows from them.
+    """Displacements of the owned particles, with fields and forces computed from them.
 
     Parameters
     ----------
@@ -31,19 +31,19 @@ class Solution:
     unknowns : (n_rows, dim) float64
         Converged displacements [length], then the virtual rows of a periodic cell.
     t : float
-        Step time [-].
+        Load parameter [-].
     step : int
         Number of the step, 0 for the undeformed state.
     work : float
-        What loads and supports have done since the undeformed state [energy].
+        Work of loads and supports since the undeformed state [energy].
     resume : mapping of str to float
-        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
+        Numbers of the solver for an exact restart from here, by its own names.
     tangent_at : (n_rows, dim) float64, optional
-        Displacements whose tangent the next step begins with [length], where they are not ``unknowns``.
+        Displacements of the first tangent of the next step [length], if different from ``unknowns``.
 
     Notes
     -----
-    Every property that is computed, ``sum`` and ``select`` are collective.
+    Computed properties, ``sum`` and ``select`` are collective.
     """
 
     def __init__(
@@ -69,22 +69,22 @@ class Solution:
         return self.problem.state(self.unknowns, self.t)
 
     def forget(self) -> None:
-        """Free what was computed for outputs and would be computed again."""
+        """Free cached fields of the output, which can be computed again."""
         self.state.forget()
 
     @property
     def x(self) -> Float:
-        """Return the reference positions of the own particles (n_owned, dim) [length]."""
+        """Return the reference positions of the owned particles (n_owned, dim) [length]."""
         return self.cloud.x[: self.cloud.n_owned]
 
     @property
     def volume(self) -> Float:
-        """Return the volumes of the own particles (n_owned,)."""
+        """Return the volumes of the owned particles (n_owned,)."""
         return self.cloud.volume[: self.cloud.n_owned]
 
     @property
     def u(self) -> Float:
-        """Return the displacements of the own particles (n_owned, dim) [length]."""
+        """Return the displacements of the owned particles (n_owned, dim) [length]."""
         return self.unknowns[: self.cloud.n_owned]
 
     @cached_property
@@ -97,14 +97,14 @@ class Solution:
 
     @cached_property
     def reaction(self) -> Float:
-        """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
+        """Return the forces of supports, ``f_int - f_ext`` for prescribed unknowns, else 0 (n_rows, dim) [force]."""
         return np.where(self.problem.supports.reacting, self.internal_force - self._loads, 0.0)
 
     def follow(self, before: Solution, work: float | None = None) -> None:
-        """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
+        """Add the work since the previous step: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
 
-        Without inertia it is that of the internal forces too; where forces are not linear between the steps it has the
-        error of the trapezoidal rule. A solver that passes through equilibria between them gives the ``work`` itself.
+        Without inertia it equals the work of the internal forces. It has the error of the trapezoidal rule unless
+        forces are linear between the steps. A solver with equilibria between the steps passes the ``work`` itself.
         """
         if work is not None:
             self.work = before.work + work
@@ -124,12 +124,12 @@ class Solution:
 
     @cached_property
     def energies(self) -> dict[str, float]:
-        """Return the energies by what they are the energy of: ``strain``, ``control``, ... [energy]."""
+        """Return the energies by name: ``strain``, ``control``, ... [energy]."""
         return self.problem.energies(self.state)
 
     @property
     def broken_bonds(self) -> int:
-        """Return how many pairs of particles have lost their bond (collective)."""
+        """Return the number of pairs of particles with a broken bond (collective)."""
         damage = self.problem.bond_damage
         return 0 if damage is None else damage.bonds.count_broken()
 
@@ -156,7 +156,7 @@ class Solution:
         return self.problem.material_term.out_of_plane(self.state)
 
     def select(self, region: Region) -> Any:
-        """Return which own particles a region selects (n_owned,) bool."""
+        """Return True for owned particles in a region (n_owned,) bool."""
         return select(self.cloud, region, "a quantity of interest")
 
     def sum(self, values: Any) -> Any:
@@ -168,12 +168,12 @@ class Solution:
         return largest(self.cloud.comm, value)
 
 
-# A field of the own particles, (n_owned,) or (n_owned, dim) or (n_owned, dim, dim); its name is the function's.
+# A field of the owned particles, (n_owned,), (n_owned, dim) or (n_owned, dim, dim); named as its function.
 Field: TypeAlias = Callable[[Solution], Float]
 
 
 def rows_of_field(field: Field, values: Any, n: int) -> NDArray[Any]:
-    """Return what a field has returned as an array; raises CaseError unless it has a number for each particle."""
+    """Return the values of a field as an array; raise CaseError unless there is a number for each particle."""
     try:
         found = np.asarray(values)
     except ValueError:  # rows of different lengths
@@ -206,7 +206,7 @@ def first_piola_stress(solution: Solution) -> Float:
 
 
 def in_space(field: Field) -> Field:
-    """Return a field as files hold it: tensors of a line or plane body with their entries across it (n, 3, 3).
+    """Return a field for files: tensors of a line or plane body with their entries across it (n, 3, 3).
 
     Other fields are returned unchanged.
     """
@@ -249,7 +249,7 @@ def temperature(solution: Solution) -> Float:
     Raises
     ------
     CaseError
-        The case says nothing of temperature.
+        The case has no temperature.
     """
     found = solution.state.temperature
     if found is None:
@@ -272,7 +272,7 @@ def heat_flux(solution: Solution) -> Float:
 
 
 def local_damage(solution: Solution) -> Float:
-    """Return the lost share of the stiffness of each particle's bonds (n_owned,) [-]; 0 where bonds do not fail.
+    """Return the lost share of the stiffness of the bonds of each particle (n_owned,) [-]; 0 without damage.
 
     References
     ----------
@@ -282,9 +282,9 @@ def local_damage(solution: Solution) -> Float:
 
 
 def lost_bonds(solution: Solution) -> Float:
-    """Return the share of the volume around each particle whose bonds are broken (n_owned,) [-].
+    """Return the share of the family volume of each particle with broken bonds (n_owned,) [-].
 
-    Bonds that have lost part of their force count as whole; 0 where bonds do not fail.
+    Bonds that have lost part of their force are not counted; 0 without damage.
 
     References
     ----------
@@ -299,5 +299,5 @@ def local_horizon(solution: Solution) -> Float:
     return np.asarray(solution.cloud.local_horizon[: solution.cloud.n_owned])
 
 
-# Which entry of ``Solution.out_of_plane`` completes each tensor.
+# The entry of ``Solution.out_of_plane`` that completes each tensor.
 _ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

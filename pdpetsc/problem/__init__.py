@@ -1,1 +1,1 @@
-"""What is solved: body, state, terms of the residual, supports, and the assembly of the tangent."""
+"""Boundary value problem: body, state, terms of the residual, supports, and assembly of the tangent."""

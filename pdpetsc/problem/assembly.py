@@ -1,4 +1,4 @@
-"""What fills the matrix of the tangent."""
+"""Assembly of the matrix of the tangent."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from pdpetsc.problem.state import State
 
 
 class Filler(ABC):
-    """What fills the matrices that a solver of a problem asks for.
+    """Fill the matrices of a solver of a problem.
 
     Attributes
     ----------
     problem : Problem
-        Whose tangent is solved with.
+        The problem.
     """
 
     problem: Problem
 
     @abstractmethod
     def rehearse(self, state: State) -> None:
-        """Fill them once, for nothing but to compile what does."""
+        """Fill the matrices once, only to compile the kernels."""
 
 
 class Assembler(Filler):
-    """Fills the value arrays of the tangent matrix of a problem, term by term.
+    """Fill the value arrays of the tangent matrix of a problem, term by term.
 
     Parameters
     ----------
     problem : Problem
-        Whose tangent it is.
+        The problem.
 
     Attributes
     ----------
     pattern : Sparsity
-        Where the values go.
+        Sparsity of the matrix.
 
     Notes
     -----
@@ -63,12 +63,12 @@ class Assembler(Filler):
         self.assemble(state, np.empty(size[0]), np.empty(size[1]))
 
     def assemble(self, state: State, diag: Float, off: Float) -> None:
-        """Write the values of K for the own rows: own columns into ``diag``, the others into ``off``.
+        """Write the values of K for the own rows: own columns to ``diag``, the others to ``off``.
 
         Parameters
         ----------
         state : State
-            Where; admissible on all ranks.
+            State, admissible on all ranks.
         diag, off : float64
             Scalar CSR values in ``sparsity.rows`` order.
         """
@@ -78,7 +78,7 @@ class Assembler(Filler):
         off[:] = 0.0
         self._ghost[:] = 0.0
         entries = Entries(self.pattern, diag[:n_diag], off[:n_off], self._ghost)
-        # Moduli take the place of F in memory, and are freed as soon as the matrix has them.
+        # Moduli replace F in memory, and are freed as soon as the matrix contains them.
         tangent = self.problem.linearised(state)
         state.forget()
         assembled = self._fill(tangent, entries)
@@ -90,7 +90,7 @@ class Assembler(Filler):
             self._assemble_border(assembled, diag, off)
 
     def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
-        """Add the rows of families; return the tangent that the matrix stands for."""
+        """Add the rows of families; return the tangent that the matrix represents."""
         for product in tangent.products:
             product.add_rows(entries)
         return tangent
@@ -104,7 +104,8 @@ class Assembler(Filler):
         numbers = np.concatenate([border.arrived, border.columns])
         order = np.argsort(numbers)
         n_here = dim * int(np.count_nonzero(numbers < sparsity.n_own_columns))
-        # Virtual columns are the last of the columns of the rank that holds them, and of the others elsewhere.
+        # Virtual columns are the last columns of the rank that holds them, and the last off-diagonal ones on other
+        # ranks.
         values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
         n_blocks = np.diff(ptr)[border.particles]
         start = dim * dim * ptr[border.particles] + dim * (n_blocks - cloud.n_virtual_global)
@@ -121,7 +122,7 @@ class Assembler(Filler):
 
 
 def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:
-    """Return what all terms couple: the families alone where a term couples them whole and the others lie in them."""
+    """Return the stencils of all terms; if a term couples whole families, the families replace stencils within them."""
     terms = [term for term in problem.terms if term.stencils is not None]
     if any(term.whole_families for term in terms):
         whole = problem.body.with_centres

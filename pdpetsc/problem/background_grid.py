@@ -1,4 +1,4 @@
-"""A grid of cells one horizon wide behind the particles: the coarse space of a two-level preconditioner."""
+"""Coarse space of a two-level preconditioner: a background grid with cells one horizon wide."""
 
 from __future__ import annotations
 
@@ -29,34 +29,36 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 
-# Least width of a cell over the distance of neighbours, where a horizon holds few particles.
+# Smallest width of a cell over the distance of neighbours, for a horizon with few particles.
 LEAST_WIDTH = 2.0
-# A body thinner than this share of a cell lies in the middle of one this wide.
+# A body thinner than this share of a cell lies in the middle of one cell of this relative width.
 THINNEST = 0.5
-# A particle without moduli, whose family is too flat for a gradient, is held by gradients of others: moduli count as
-# this share at least of those of a particle with such a diagonal block.
+# Smallest modulus, as a share of that of a particle with such a diagonal block. Without it, a particle whose family is
+# too flat for a gradient would have no stiffness, although gradients of others hold it.
 WEAK = 0.1
-# What every element resists besides, as a share of its modulus: rotations, and modes that no bond resists. Springs of
-# loose pieces are stiffer.
+# Additional stiffness of every element, as a share of its modulus, against rotations and modes that no bond resists.
+# The springs of loose particles are stiffer.
 FLOOR = 1e-9
-# Most nodes of a grid, whose numbers are to be integers: cells are wider where bodies are so far apart.
+# Largest number of nodes, so that node numbers are exact integers. Cells are wider if parts of the body are far apart.
 MOST = 2.0**48
-# Elements whose stiffness is held at once.
+# Elements per block of the assembly.
 CHUNK = 4096
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Boxes of equal size that cover a body, whole ones in a periodic cell and from mirror planes on.
+    """Store the boxes of equal size that cover a body.
+
+    The boxes fit a periodic cell exactly, and start at mirror planes.
 
     Attributes
     ----------
     low, width : (dim,) float64
-        Where the first cell begins, and the sides of each [length].
+        Origin of the first cell, and side lengths of each cell [length].
     count : (dim,) int64
-        Cells in every direction.
+        Number of cells in every direction.
     periodic : (dim,) bool
-        Whether the last cell in a direction is beside the first.
+        Whether the last cell in a direction is adjacent to the first.
     """
 
     low: Float
@@ -66,7 +68,7 @@ class Cells:
 
     @classmethod
     def of(cls, problem: Problem) -> Cells:
-        """Return cells about one horizon wide over the particles of all ranks (collective)."""
+        """Build cells about one horizon wide over the particles of all ranks (collective)."""
         cloud = problem.body.cloud
         x, dim = cloud.x[: cloud.n_owned], cloud.dim
         spacing = float(total(cloud.comm, float(nearest_distances(problem.body).sum()))) / cloud.n_global
@@ -95,14 +97,14 @@ class Cells:
         return cls(low, width, count, periodic)
 
     def locate(self, x: Float) -> tuple[GlobalIndex, Float]:
-        """Return the cell of points (n, dim) and where they are in it, (n, dim) in [0, 1]."""
+        """Return the cell of points (n, dim) and their positions in it, (n, dim) in [0, 1]."""
         place = (x - self.low) / self.width
         cell = np.clip(np.floor(place), 0, self.count - 1).astype(np.int64)
         return cell, np.clip(place - cell, 0.0, 1.0)
 
     @property
     def corners(self) -> GlobalIndex:
-        """Return which corners of a cell are the upper ones in every direction (2^dim, dim), 0 or 1."""
+        """Return for each corner of a cell whether it is the upper one in every direction (2^dim, dim), 0 or 1."""
         dim = len(self.count)
         return np.asarray((np.arange(2**dim)[:, None] >> np.arange(dim)) & 1)
 
@@ -114,15 +116,15 @@ class Cells:
 
     @property
     def n_nodes(self) -> int:
-        """Return how many numbers of nodes there are."""
+        """Return the number of node numbers."""
         return int(np.prod(self.count + 1))
 
     def positions(self, nodes: GlobalIndex) -> Float:
-        """Return where nodes are (n, dim) [length]."""
+        """Return the positions of nodes (n, dim) [length]."""
         return np.asarray(self.low + self.width * np.stack(np.unravel_index(nodes, tuple(self.count + 1)), axis=-1))
 
     def stiffness(self) -> Float:
-        """Return ``mean of dN_p/dx_m dN_q/dx_n`` over a cell, (n_corners^2, dim^2) [1 / length^2]."""
+        """Compute ``mean of dN_p/dx_m dN_q/dx_n`` over a cell, (n_corners^2, dim^2) [1 / length^2]."""
         dim, upper = len(self.count), self.corners
         # Integrals of products of the linear functions of one coordinate, and of their derivatives.
         mass = np.where(upper[:, None, :] == upper[None, :, :], 1.0 / 3.0, 1.0 / 6.0)
@@ -147,29 +149,31 @@ class Cells:
 
 
 class BackgroundGrid(Filler):
-    """Linear finite elements on cells one horizon wide, as a coarse space for the tangent of a body.
+    """Provide linear finite elements on cells one horizon wide, as coarse space for the tangent of a body.
 
-    ``u_i = sum_q N_q(x_i) U_q`` in reference positions. An element is what bonds hold together of the particles in one
-    cell, and elements in neighbouring cells share the node between them where bonds link them there: across a crack
-    both sides have nodes of their own. The stiffness ``sum_e int B^T D_e B`` has the summed moduli ``D_e`` of the
-    particles of every element, spread evenly over its cell, so the energy of the body in every uniform deformation
-    whatever scheme, materials and damage. Prescribed degrees of freedom do not move with the nodes; a node resists
-    their motion as the particle itself would.
+    ``u_i = sum_q N_q(x_i) U_q`` in reference positions. An element consists of the particles in one cell that bonds
+    connect. Elements in neighbouring cells share the node between them if bonds connect them there; both sides of a
+    crack have separate nodes.
 
-    In a periodic cell nodes repeat and the virtual unknowns are their own nodes, which strain the elements across its
-    sides; beside mirror planes nodes on a plane do not leave it.
+    The stiffness is ``sum_e int B^T D_e B``. The moduli ``D_e`` are the sum over the particles of the element,
+    distributed evenly over its cell. In every uniform deformation the energy is that of the body, for any scheme,
+    materials and damage. Prescribed degrees of freedom do not move with the nodes; a node resists their motion as the
+    particle itself would.
+
+    In a periodic cell nodes repeat. The virtual unknowns are additional nodes, which strain the elements across the
+    sides of the cell. Nodes on a mirror plane do not leave it.
 
     Parameters
     ----------
     problem : Problem
-        The body and what acts on it.
+        The problem.
 
     Attributes
     ----------
     first, n_own, n_global : int
-        Number of the first own node, own nodes, and all of them, virtual unknowns last.
+        Number of the first own node, number of own nodes, and number of all nodes; virtual unknowns last.
     numbers : (n_nodes,) int64
-        Global numbers of the nodes that this rank's particles move with; virtual unknowns are the last ones.
+        Global numbers of the nodes that move particles of this rank; virtual unknowns are last.
 
     Notes
     -----
@@ -187,7 +191,7 @@ class BackgroundGrid(Filler):
         element, of_element = self._elements(kept, cell)
         own_elements = np.unique(element[: cloud.n_owned])
         number, own_nodes = self._numbers(kept, element, of_element, own_elements)
-        # Nodes that no own particle moves with are of no use here.
+        # Remove nodes that move no own particle.
         used, corners = np.unique(number[own_elements], return_inverse=True)
         self._corners = corners.reshape(len(own_elements), -1).astype(np.int32)
         self._element = np.searchsorted(own_elements, element[: cloud.n_owned]).astype(np.int32)
@@ -209,7 +213,7 @@ class BackgroundGrid(Filler):
         self._set_pattern()
 
     def rehearse(self, state: State) -> None:
-        """Fill the matrix once, and go from nodes to particles and back (collective)."""
+        """Fill the matrix once, and interpolate from particles to nodes and back (collective)."""
         tangent = self.problem.linearised(state)
         blocks = tangent.point_blocks()
         definite(blocks, 0.0)
@@ -217,7 +221,7 @@ class BackgroundGrid(Filler):
         self.interpolate(self.restrict(state.u))
 
     def interpolate(self, nodal: Float) -> Float:
-        """Return unknowns (n_rows, dim) that move with the nodes (n_nodes, dim); prescribed ones do not."""
+        """Interpolate nodal displacements (n_nodes, dim) to the unknowns (n_rows, dim); prescribed ones are zero."""
         cloud, n = self._cloud, self._cloud.n_owned
         u = np.empty((cloud.n_rows, self._dim))
         nodal = np.where(self._held, 0.0, nodal)
@@ -232,7 +236,7 @@ class BackgroundGrid(Filler):
         return np.asarray(u * self._free)
 
     def restrict(self, f: Float) -> Float:
-        """Return forces on the nodes (n_nodes, dim), this rank's share, from those on unknowns (n_rows, dim)."""
+        """Compute the share of this rank of nodal forces (n_nodes, dim) from forces on unknowns (n_rows, dim)."""
         cloud, n = self._cloud, self._cloud.n_owned
         f = f * self._free
         nodal, moment = np.zeros((len(self.numbers), self._dim)), np.zeros((self._dim, self._dim))
@@ -245,18 +249,18 @@ class BackgroundGrid(Filler):
         return nodal
 
     def fill(self, D: Float, blocks: Float | None, diagonal: Float, scale: float) -> Float:
-        """Return the values of the own rows of the matrix of the nodes over ``scale``, in scalar CSR layout.
+        """Compute the values of the own rows of the matrix of the nodes, divided by ``scale``, in scalar CSR layout.
 
         Parameters
         ----------
         D : (n_owned, dim, dim, dim, dim) float64
             Moduli of the own particles [energy].
         blocks : (n_owned, dim, dim) float64 or None
-            What couples each particle to itself alone [force / length].
+            Coupling of each particle with itself alone [force / length].
         diagonal : (n_rows, dim) float64
             Diagonal of the tangent of the body [force / length].
         scale : float
-            The stiffness that is 1 in the matrix [force / length].
+            Unit of stiffness in the matrix [force / length].
         """
         dim, n_corners = self._dim, 2**self._dim
         n_elements = len(self._corners)
@@ -287,7 +291,7 @@ class BackgroundGrid(Filler):
         return self._complete(values)
 
     def rigid_modes(self) -> Float:
-        """Return the rigid motions of the body at the own nodes (n_own, dim, modes), none of virtual unknowns."""
+        """Return the rigid motions of the body at the own nodes (n_own, dim, modes), zero for virtual unknowns."""
         modes = rigid_at(self._cloud, self._own_positions)
         return np.concatenate([modes, np.zeros((self._cloud.n_virtual, *modes.shape[1:]))])
 
@@ -301,7 +305,7 @@ class BackgroundGrid(Filler):
 
     @property
     def n_entries(self) -> int:
-        """Return the entries of the own rows of the matrix."""
+        """Return the number of entries of the own rows of the matrix."""
         return len(self._columns) * self._dim**2
 
     def _elements(self, kept: Mask, cell: GlobalIndex) -> tuple[LocalIndex, GlobalIndex]:
@@ -334,10 +338,11 @@ class BackgroundGrid(Filler):
     def _numbers(
         self, kept: Mask, element: LocalIndex, cell: GlobalIndex, own: GlobalIndex
     ) -> tuple[GlobalIndex, GlobalIndex]:
-        """Return the global number of the node at every corner of the elements, and the nodes that this rank holds.
+        """Return the global node number at every corner of the elements, and the nodes that this rank holds.
 
-        Ranks meet where a number of the grid is looked after: corners that one of them has joined are one node, and so
-        are those of the same element on several. The lowest rank with a particle there holds the node (collective).
+        Each number of the grid is assigned to a rank, which compares the corners there. Corners that a rank has joined
+        are one node, and so are corners of the same element on several ranks. The lowest rank with a particle at the
+        node holds it (collective).
         """
         cloud, families = self._cloud, self.problem.body.families.connecting_families
         nodes = self.cells.nodes(cell)
@@ -375,7 +380,7 @@ class BackgroundGrid(Filler):
         return number.reshape(nodes.shape), held
 
     def _on_planes(self, nodes: GlobalIndex) -> Mask:
-        """Return which components of nodes of the grid (n, dim) are held by a mirror plane."""
+        """Return which components of nodes of the grid (n, dim) a mirror plane holds."""
         held = np.zeros((len(nodes), self._dim), dtype=bool)
         x = self.cells.positions(nodes)
         for axis, at in self._cloud.places.planes.items():
@@ -392,9 +397,9 @@ class BackgroundGrid(Filler):
         return strains
 
     def _weak(self, D: Float, diagonal: Float) -> Float:
-        """Return the modulus that elements lack of what their diagonal blocks say (n_elements,) [energy] (collective).
+        """Return the modulus that elements lack compared with their diagonal blocks (n_elements,) [energy].
 
-        It is that of an isotropic solid that resists strain and no rotation.
+        It is the modulus of an isotropic solid that resists strain but not rotation (collective).
         """
         dim = self._dim
         modulus = np.abs(np.einsum("pikik->p", D)) / dim**2
@@ -405,7 +410,7 @@ class BackgroundGrid(Filler):
         return np.asarray(np.bincount(self._element, lacking, len(self._corners)), dtype=float)
 
     def _ties(self, blocks: Float | None, diagonal: Float, scale: float) -> tuple[GlobalIndex, Float]:
-        """Return the particles that something holds besides the elements, by element, and the block of each."""
+        """Return the particles with stiffness besides that of elements, ordered by element, and the block of each."""
         n, dim = self._cloud.n_owned, self._dim
         fixed = ~self._free[:n]
         found = fixed.any(axis=1)
@@ -422,7 +427,7 @@ class BackgroundGrid(Filler):
         return tied, ties / scale
 
     def _with_virtual(self, elements: GlobalIndex, K: Float) -> Float:
-        """Return what elements across the sides of a periodic cell add where virtual unknowns strain them."""
+        """Return the contributions of elements across the sides of a periodic cell, including virtual unknowns."""
         dim, n_corners, n_v = self._dim, 2**self._dim, self._n_virtual
         away = self.cells.corners * self._wraps[elements][:, None, :] * self._lengths
         T = np.einsum("vab,eqb->eqav", self._strains, away)
@@ -436,7 +441,7 @@ class BackgroundGrid(Filler):
         return whole
 
     def _set_pattern(self) -> None:
-        """Find where the matrix of the nodes has blocks, on this rank and in its rows (collective)."""
+        """Determine the nonzero blocks of the matrix of the nodes, on this rank and in its rows (collective)."""
         comm, n_nodes, n_corners = self._cloud.comm, len(self.numbers), self._corners.shape[1]
         self._across = self._wraps.any(axis=1)
         self._across_elements = np.flatnonzero(self._across)
@@ -457,7 +462,7 @@ class BackgroundGrid(Filler):
         self._to = np.searchsorted(firsts, row, side="right") - 1
         (row, column), _ = exchange(comm, self._to, [row, column])
         keys = (row - self.first) * self.n_global + column
-        # Rows of nodes that no element touches, those of virtual unknowns of a cell that nothing crosses.
+        # Rows of nodes without element: virtual unknowns of a cell whose sides no element crosses.
         alone = np.arange(self.n_own, dtype=np.int64)
         found, position = np.unique(
             np.concatenate([keys, alone * self.n_global + alone + self.first]), return_inverse=True
@@ -468,13 +473,13 @@ class BackgroundGrid(Filler):
         self._block_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
     def _complete(self, values: Float) -> Float:
-        """Return the values of the own rows from what all ranks have for them (collective)."""
+        """Sum the values of the own rows over all ranks (collective)."""
         dim = self._dim
         self._hold(values)
         (values,), _ = exchange(self._cloud.comm, self._to, [values])
         blocks = np.zeros((len(self._columns), dim, dim))
         add_at(self._position, values, blocks)
-        # What nothing moves, or nothing resists, keeps its place.
+        # Set 1 on the diagonal of components without stiffness.
         i = np.arange(dim)
         diagonal = blocks[self._own_diagonal][:, i, i]
         blocks[self._own_diagonal[:, None], i, i] = np.where(diagonal == 0.0, 1.0, diagonal)
@@ -492,9 +497,9 @@ class BackgroundGrid(Filler):
 def _ask(
     comm: Comm, holder: GlobalIndex, question: GlobalIndex, answers: Callable[[GlobalIndex, GlobalIndex], GlobalIndex]
 ) -> GlobalIndex:
-    """Return what the ranks ``holder`` (n,) answer to the rows of ``question`` (collective).
+    """Return the answers of the ranks ``holder`` (n,) to the rows of ``question`` (collective).
 
-    ``answers`` is called on every rank with the questions that it got and the rank that each is from.
+    ``answers`` is called on every rank with the questions that it received and the source rank of each.
     """
     (asked,), counts = exchange(comm, holder, [question])
     source = np.repeat(np.arange(comm.size), counts)
@@ -505,7 +510,7 @@ def _ask(
 
 
 def _joined(corners: GlobalIndex, source: GlobalIndex) -> tuple[int, GlobalIndex]:
-    """Return how many nodes corners ``(node, element, joined on its rank)`` (n, 3 or more) make, and that of each."""
+    """Return the number of nodes of corners ``(node, element, joined on its rank)`` (n, 3 or more), and their nodes."""
     _, on_rank = np.unique(source * (int(corners[:, 2].max(initial=0)) + 1) + corners[:, 2], return_inverse=True)
     order = np.lexsort((corners[:, 1], corners[:, 0]))
     new = np.any(np.diff(corners[order][:, :2], axis=0, prepend=-1) != 0, axis=1)

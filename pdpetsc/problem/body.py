@@ -1,4 +1,4 @@
-"""A discrete body: particles, bonds, and the exchange of displacements and forces with other ranks."""
+"""Discrete body: particles, bonds, and the exchange of displacements and forces between ranks."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from pdpetsc.problem.expansion import StressFree
 
 
 class Body:
-    """Particles of this rank and their bonds.
+    """Store the particles of this rank and their bonds.
 
-    Unknowns ``u`` (n_rows, dim) are the displacements of the own particles and, on the last rank, the virtual rows of a
-    periodic cell; forces have the same rows. Arrays with ghosts have ``n_local`` rows.
+    Unknowns ``u`` (n_rows, dim) are the displacements of the own particles. On the last rank they include the virtual
+    rows of a periodic cell. Forces have the same rows. Arrays with ghosts have ``n_local`` rows.
 
     Parameters
     ----------
     cloud, families
         Particles of this rank and their bonds.
     surface : Surface, optional
-        Its facets, where somebody asks for them.
+        Facets of the surface, if a term needs them.
     thickness : float
-        Of a plane body, which the volumes contain [length].
+        Thickness of a plane body; the volumes contain it [length].
     thermals : sequence of Thermal or None, optional
-        Dependence of each material on temperature; absent for a body that does not expand.
+        Dependence of each material on temperature; None for a body that does not expand.
 
     Attributes
     ----------
     expansion : StressFree or None
-        The deformation that it has without stress, where it is not none.
+        Stress-free deformation; None if there is none.
     """
 
     expansion: StressFree | None = None
@@ -55,7 +55,7 @@ class Body:
 
     @property
     def expands(self) -> bool:
-        """Return True if it may deform without stress."""
+        """Return True if the body may deform without stress."""
         return self.thermals is not None
 
     @property
@@ -65,12 +65,12 @@ class Body:
 
     @cached_property
     def overlap(self) -> Overlap:
-        """Return what applies work on families, with the exchange of ghosts behind it."""
+        """Return the operator that hides the exchange of ghosts behind work on families."""
         return Overlap(self.cloud, self.families)
 
     @cached_property
     def with_centres(self) -> Stencils:
-        """Return the families with their centre first."""
+        """Return the families as stencils, centre first."""
         return whole_families(self.cloud, self.families, np.ones(len(self.families.neighbours)))
 
     def with_ghosts(self, u: Float) -> Float:
@@ -80,7 +80,7 @@ class Body:
         return u_local
 
     def gather(self, f: Float) -> Float:
-        """Return forces on the unknowns (n_rows, dim) from those on local particles (n_local, dim), overwritten.
+        """Sum forces on local particles (n_local, dim), overwritten, to forces on the unknowns (n_rows, dim).
 
         Notes
         -----
@@ -89,7 +89,7 @@ class Body:
         return start_forces(self.cloud, f)()
 
     def elongated(self, u_local: Float, finite: bool) -> tuple[Float, float]:
-        """Return the elongation of every bond (n_bonds,) [length] and the least current length of a bond.
+        """Return the elongation of every bond (n_bonds,) [length] and the smallest current length of a bond [length].
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The virtual unknowns of a periodic cell: what mean strain and mean stress are in terms of them."""
+"""Virtual unknowns of a periodic cell, which represent mean strain and mean stress."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pdpetsc.discrete.communicator import total
 
 
 class CellRows:
-    """Virtual unknowns of a periodic cell on this rank.
+    """Map the virtual unknowns of a periodic cell on this rank to mean strain and mean stress.
 
     Parameters
     ----------
     cloud : Cloud
-        Particles of a body with a cell.
+        Particles of a body with a periodic cell.
     thickness : float
-        Of a plane body, or cross-section of a line [length or area].
+        Thickness of a plane body, or cross-section of a line [length or area].
 
     Attributes
     ----------
     volume : float
-        What the mean stress is per: the volume of the cell, or that of the particles where some direction is not
+        Reference volume of the mean stress: the volume of the cell, or that of the particles if not all directions are
         periodic [volume].
 
     Notes
@@ -45,12 +45,12 @@ class CellRows:
 
     @property
     def components(self) -> list[tuple[int, int]]:
-        """Return the components that the cell has, as pairs of directions."""
+        """Return the strain components of the cell, as pairs of directions."""
         return list(self.images.cell.components)
 
     @property
     def here(self) -> bool:
-        """Return whether this rank holds the virtual unknowns."""
+        """Return True if this rank holds the virtual unknowns."""
         return self.images.here
 
     @property

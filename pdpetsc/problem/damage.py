@@ -1,4 +1,4 @@
-"""Damage of the bonds of a body."""
+"""Damage of the bonds of a body, and the interface of damage for load steps."""
 
 from __future__ import annotations
 
@@ -21,38 +21,37 @@ from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 
-# A bond whose degradation factor would be above that of its largest drive by less than this is at its largest drive
-# [-].
+# A bond counts as at its largest drive if its degradation factor would exceed the value there by less than this [-].
 AT_LARGEST = 1e-4
 
 
 class Failing(Protocol):
-    """The state of what fails: whether it is held, and how close to its largest drive it fails further."""
+    """Describe the state of bonds or points that fail: whether it is frozen, and the tolerance at the largest drive."""
 
     frozen: bool
     slack: float
 
 
 class DamageModel(ABC):
-    """Damage as the march from one equilibrium to the next sees it.
+    """Define the interface of damage for load steps.
 
     Attributes
     ----------
     version, breaks : int
-        Grow whenever a degradation factor changes; and whenever bonds break or mend.
+        Increase if a degradation factor changes, and if bonds break or mend, respectively.
 
     Notes
     -----
-    Every method is collective but where it says otherwise. Methods that change damage are called by ``Problem``, which
-    lets terms follow.
+    Every method is collective unless stated otherwise. ``Problem`` calls the methods that change damage, and notifies
+    the terms.
     """
 
     version: int = 0
     breaks: int = 0
-    # Whether bonds also break by the strain of a family, and whether what has not failed may regain force.
+    # Whether bonds also break by the strain of a family, and whether bonds that have not failed may regain force.
     breaks_by_family_strain: bool = False
     reversible: bool = False
-    # Whether all forces derive from one energy, so that an equilibrium without negative pivots is a minimum of it.
+    # Whether all forces derive from one energy. Then an equilibrium without negative pivots is a minimum.
     forces_have_energy: bool = False
 
     @property
@@ -62,53 +61,59 @@ class DamageModel(ABC):
 
     @property
     def of_bonds(self) -> Damage | None:
-        """Return it as the damage of bonds, None where no bond fails (not collective)."""
+        """Return the damage of bonds; None if no bond fails (not collective)."""
         return None
 
     @property
     def timed(self) -> bool:
-        """Return whether the drive depends on time (not collective)."""
+        """Return True if the driving variable depends on time (not collective)."""
         return False
 
     @property
     def conduction_version(self) -> int:
-        """Return a number that grows whenever bonds or points conduct less heat, or more again (not collective)."""
+        """Return a number that increases if the conductivity of bonds or points changes (not collective)."""
         return self.breaks
 
     @property
     def conducting_bonds(self) -> Float | None:
-        """Return the share of its conductivity that each bond has (n_bonds,) [-]; None for all (not collective)."""
+        """Return the remaining share of the conductivity of each bond (n_bonds,) [-]; None if unchanged.
+
+        Not collective.
+        """
         return None
 
     @property
     def conducting_points(self) -> Float | None:
-        """Return that of each gradient point (n_points,) [-]; None for all (not collective)."""
+        """Return the remaining share of the conductivity of each gradient point (n_points,) [-]; None if unchanged.
+
+        Not collective.
+        """
         return None
 
     @property
     @abstractmethod
     def softens(self) -> bool:
-        """Return whether force is lost gradually (not collective)."""
+        """Return True if force is lost gradually (not collective)."""
 
     @property
     @abstractmethod
     def failing(self) -> Failing:
-        """Return the state of what fails (not collective)."""
+        """Return the state of the bonds or points that fail (not collective)."""
 
     @property
     def frozen(self) -> bool:
-        """Return whether damage stays while the displacement changes (not collective)."""
+        """Return True if damage stays constant while the displacement changes (not collective)."""
         return self.failing.frozen
 
     def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement (not collective)."""
+        """Fix damage, or let it follow the displacement (not collective)."""
         if self.frozen != frozen:
             self.failing.frozen = frozen
             self.version += 1
 
     @contextmanager
     def loading(self) -> Iterator[None]:
-        """Let what is at its largest drive lose force in the tangent of the body (not collective)."""
+        """Let bonds and points at their largest drive lose force in the tangent of the body (not collective)."""
         failing, frozen = self.failing, self.frozen
         failing.slack, failing.frozen = AT_LARGEST, False
         self.version += 1
@@ -120,30 +125,30 @@ class DamageModel(ABC):
 
     @abstractmethod
     def keep(self, state: State) -> None:
-        """Keep the damage at a converged state."""
+        """Commit the damage at a converged state."""
 
     @abstractmethod
     def revert(self) -> bool:
-        """Take back what failed since the last ``keep``; return whether bonds have mended."""
+        """Undo the damage since the last ``keep``; return True if bonds have mended."""
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs."""
+        """Break bonds beyond their final drive, about ``most`` at once, largest first; return the number of pairs."""
         return 0
 
     def break_families(self, strain: Float, most: int | None = None) -> int:
-        """Break bonds by the tensile strain of their families (n_bonds,) [-], likewise; return how many pairs."""
+        """Break bonds by the tensile strain of their families (n_bonds,) [-], largest first; return how many pairs."""
         return 0
 
     @abstractmethod
     def fading(self, state: State) -> float:
-        """Return by how much a degradation factor would change at most [-]."""
+        """Return the largest change of a degradation factor that a state would cause [-]."""
 
     @abstractmethod
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Accept the damage at a state; return the largest change of a degradation factor [-]."""
 
     def dissipation_gradient(self, state: State) -> Float | None:
-        """Return the derivative of the dissipated energy by the unknowns (n_rows, dim) [force]; None if not known."""
+        """Return the derivative of the dissipated energy by the unknowns (n_rows, dim) [force]; None if unknown."""
         return None
 
     @abstractmethod
@@ -152,28 +157,28 @@ class DamageModel(ABC):
 
     @abstractmethod
     def reset(self, stored: tuple[Float, ...]) -> None:
-        """Go back to a stored state (not collective)."""
+        """Restore a stored state (not collective)."""
 
 
 class Damage(DamageModel):
-    """The bonds of a body that can fail.
+    """Represent the damage of the bonds of a body.
 
     Parameters
     ----------
     body : Body
-        Whose bonds they are.
+        The body.
     bonds : FailingBonds
-        Their state.
+        State of the bonds.
     driving_variable : DrivingVariable
-        What drives their damage.
+        Driving variable of the damage.
     finite : bool
-        Whether elongations are those of the current length, or along the first direction of a bond.
+        Whether an elongation is the change of the current length, or the component along the reference direction.
     damageable : DamageableBonds
-        The bonds as the drive reads them.
+        Properties of the bonds for the driving variable.
 
     Notes
     -----
-    Every method is collective but where it says otherwise.
+    Every method is collective unless stated otherwise.
     """
 
     def __init__(
@@ -207,17 +212,17 @@ class Damage(DamageModel):
 
     @property
     def timed(self) -> bool:
-        """Return whether the drive depends on time (not collective)."""
+        """Return True if the driving variable depends on time (not collective)."""
         return self.driving_variable.timed
 
     @property
     def conducting_bonds(self) -> Float:
-        """Return 1 for bonds that are not broken, else 0 (n_bonds,) (not collective)."""
+        """Return 1 for each bond that is not broken, else 0 (n_bonds,) (not collective)."""
         return self.bonds.intact.astype(float)
 
     @property
     def softens(self) -> bool:
-        """Return whether bonds lose their force gradually (not collective)."""
+        """Return True if bonds lose their force gradually (not collective)."""
         return self.bonds.laws.softens
 
     @property
@@ -227,17 +232,17 @@ class Damage(DamageModel):
 
     @property
     def reversible(self) -> bool:  # type: ignore[override]
-        """Return whether bonds that have not broken may regain force (not collective)."""
+        """Return True if bonds that have not broken may regain force (not collective)."""
         return self.bonds.law.effect.reversible
 
     @property
     def limit(self) -> Float:
-        """Return the elongations at which bonds fail (n_bonds,) [length], infinite where protected (not collective).
+        """Return the elongations at which bonds fail (n_bonds,) [length], infinite for protected ones (not collective).
 
         Raises
         ------
         TypeError
-            The drive is not linear in the elongation.
+            The driving variable is not linear in the elongation.
         """
         if self.driving_variable.limit is None:
             raise TypeError(f"{type(self.driving_variable).__name__} has no elongation of failure.")
@@ -246,7 +251,7 @@ class Damage(DamageModel):
         return limit
 
     def driving_values(self, state: State) -> Float:
-        """Return the drive of every bond (n_bonds,) [-], zero where it is protected."""
+        """Compute the driving variable of every bond (n_bonds,) [-], zero for protected bonds."""
         return state.kept("drive", lambda: self._spared(self.driving_variable.at(state)))
 
     def phi(self, state: State) -> Float:
@@ -254,7 +259,7 @@ class Damage(DamageModel):
         return self._following(state)[0]
 
     def gradient(self, state: State) -> Gradient:
-        """Return how the degradation factor of the bonds that lose it changes with the displacement."""
+        """Compute the derivative of the degradation factors by the displacement, for bonds that soften."""
         _, softening, slope = self._following(state)
         return state.kept(
             ("gradient", self.version, self.bonds.frozen),
@@ -262,7 +267,7 @@ class Damage(DamageModel):
         )
 
     def _following(self, state: State) -> tuple[Float, GlobalIndex, Float]:
-        """Return degradation factor, bonds whose degradation factor falls, and its derivative by their drive."""
+        """Return degradation factor, indices of softening bonds, and their derivative by the driving variable."""
 
         def follow() -> tuple[Float, GlobalIndex, Float]:
             bonds = self.bonds
@@ -273,38 +278,38 @@ class Damage(DamageModel):
         return state.kept(("phi", self.version, self.bonds.frozen), follow)
 
     def _spared(self, x: Float) -> Float:
-        """Return drives x without those of protected bonds."""
+        """Set the driving variable x of protected bonds to zero."""
         if len(self.bonds.protected):
             x[self.bonds.protected] = 0.0
         return x
 
     def keep(self, state: State) -> None:
-        """Keep the bonds, and what the driving variable remembers, at a converged state."""
+        """Commit the bonds and the history of the driving variable at a converged state."""
         self.driving_variable.commit(state)
         self.bonds.commit()
 
     def revert(self) -> bool:
-        """Take back what failed since the last ``keep``; return whether bonds have mended."""
+        """Undo the damage since the last ``keep``; return True if bonds have mended."""
         intact = self.bonds.intact
         self.bonds.revert()
         mended = int(np.any(intact != self.bonds.intact))
         return int(total(self.body.cloud.comm, mended)) > 0
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs."""
+        """Break bonds beyond their final drive, about ``most`` at once, largest first; return the number of pairs."""
         return self.bonds.break_bonds(self.driving_values(state), most)
 
     def break_families(self, strain: Float, most: int | None = None) -> int:
-        """Break bonds by the tensile strain of their families (n_bonds,) [-], likewise; return how many pairs."""
+        """Break bonds by the tensile strain of their families (n_bonds,) [-], largest first; return how many pairs."""
         over = self.driving_variable.at_strain(strain)
         return 0 if over is None else self.bonds.tear(self._spared(over), most)
 
     def fading(self, state: State) -> float:
-        """Return by how much the degradation factor of a bond would change at most [-]."""
+        """Return the largest change of the degradation factor of a bond that a state would cause [-]."""
         return self.bonds.fading(self.driving_values(state))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Accept the damage at a state; return the largest change of a degradation factor [-]."""
         return self.bonds.soften(self.driving_values(state))
 
     def stored(self) -> tuple[Float, ...]:
@@ -312,19 +317,19 @@ class Damage(DamageModel):
         return self.bonds.phi.copy(), self.bonds.kappa.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
-        """Go back to a state of the bonds (not collective)."""
+        """Restore a stored state of the bonds (not collective)."""
         self.bonds.phi[:], self.bonds.kappa[:] = stored
 
     def most_driven(self, state: State, band: float) -> tuple[Float, float]:
-        """Return how the largest drive grows with the unknowns, and that drive.
+        """Compute the gradient of the largest driving variable by the unknowns, and its value.
 
         Returns
         -------
         gradient : (n_rows, dim) float64
-            Of the mean over the bonds that have not failed and are within ``band`` of the largest, relatively
-            [1 / length]; zero where none is positive.
+            Mean gradient over the unfailed bonds within the relative distance ``band`` of the largest [1 / length];
+            zero if no driving variable is positive.
         largest : float
-            [-]
+            Largest driving variable [-].
         """
         body, family, u_local = self.body, self.body.families, state.u_local
         f = np.zeros_like(u_local)
@@ -343,9 +348,9 @@ class Damage(DamageModel):
         return body.gather(f), found
 
     def dissipated(self, k: Float) -> Float | None:
-        """Return what linear bonds of stiffness k have dissipated (n_bonds,) [energy]; None where no drive tells.
+        """Compute the energy dissipated by linear bonds of stiffness k (n_bonds,) [energy].
 
-        Not collective.
+        None if the driving variable does not determine it. Not collective.
         """
         lost, found = self.bonds.weakened, np.zeros(len(k))
         known = self.driving_variable.elastic_energy(lost, k[lost])
@@ -355,11 +360,14 @@ class Damage(DamageModel):
         return found
 
     def lost_bonds(self) -> Float:
-        """Return ``1 - sum_j mu V_j / sum_j V_j`` (n_owned,) [-], mu 0 for broken bonds, else 1 (not collective)."""
+        """Compute ``1 - sum_j b_j V_j / sum_j V_j`` (n_owned,) [-], b = 0 for broken bonds, else 1 (not collective)."""
         return self._lost(np.where(self.bonds.intact, 1.0, 0.0))
 
     def lost_volume(self) -> Float:
-        """Return ``1 - sum_j T V_j / sum_j V_j`` (n_owned,) [-] with the ``phi`` T of the bonds (not collective)."""
+        """Compute ``1 - sum_j phi_j V_j / sum_j V_j`` (n_owned,) [-] with the degradation factors of the bonds.
+
+        Not collective.
+        """
         return self._lost(self.bonds.phi)
 
     def _lost(self, left: Float) -> Float:
@@ -378,30 +386,30 @@ def make_damage(
     law: BondDamage | DamageOf, body: Body, omega: Float, k: Float | None, finite: bool,
     material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking = _nowhere,
 ) -> Damage:  # fmt: skip
-    """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
+    """Build the damage of the bonds of a body, with resolved criterion and driving variable.
 
     Parameters
     ----------
     law : BondDamage or DamageOf
-        As declared.
+        Declared damage.
     body : Body
-        Whose bonds they are.
+        The body.
     omega, k : (n_bonds,) float64
-        Their influence [-], and their elastic stiffness from one end [force / length], None where no criterion reads
+        Influence [-], and elastic stiffness from one end [force / length]. The stiffness is None if no criterion reads
         it.
     finite : bool
-        Whether elongations are those of the current length, or along the first direction of a bond.
+        Whether an elongation is the change of the current length, or the component along the reference direction.
     material_of : (n_owned,) int32, optional
-        Number of the material of each own particle; one material where absent.
+        Number of the material of each own particle; None for one material.
     factor : (n_owned,) float64, optional
-        What grading multiplies its moduli with [-].
+        Factor of grading on the moduli [-].
     mark : callable, optional
-        Marks the local particles in a region (n_local,), if there are laws for regions or protected regions.
+        Marks the local particles in a region (n_local,), for laws of regions and protected regions.
 
     Raises
     ------
     CaseError
-        The criterion does not fit the bonds, on every rank.
+        The criterion does not fit the bonds; raised on every rank.
 
     Notes
     -----

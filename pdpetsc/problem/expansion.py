@@ -1,4 +1,4 @@
-"""What a body would deform by if nothing held it: thermal strains and others without stress."""
+"""Stress-free deformation: thermal strain and other eigenstrains."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from pdpetsc.problem.prescribed import Prescribed
 
 
 class TemperatureField(ABC):
-    """The temperature of the own particles.
+    """Define the temperature of the own particles.
 
     Attributes
     ----------
     version : int
-        Grows whenever the temperature at the same step time changes.
+        Increases if the temperature at the same load parameter changes.
     """
 
     version: int = 0
 
     @abstractmethod
     def at(self, t: float) -> Float:
-        """Return the temperature of the own particles at step time ``t`` (n_owned,) (collective)."""
+        """Return the temperature of the own particles at load parameter ``t`` (n_owned,) (collective)."""
 
 
 class PrescribedTemperature(TemperatureField):
-    """A temperature that conditions give, that at the start elsewhere.
+    """Evaluate the temperature that conditions prescribe; other particles keep the initial temperature.
 
     Parameters
     ----------
     cloud : Cloud
         The particles.
     start : (n_owned,) float64
-        The temperature at the start.
+        Initial temperature.
 
     Attributes
     ----------
     held : (n_owned,) bool
-        Which own particles have a prescribed temperature.
+        Own particles with a prescribed temperature.
     given : Prescribed
-        Which conditions prescribe it.
+        Conditions that prescribe it.
     """
 
     def __init__(self, cloud: Cloud, start: Float) -> None:
@@ -60,14 +60,17 @@ class PrescribedTemperature(TemperatureField):
         self.held: Mask = np.zeros(cloud.n_owned, dtype=bool)
 
     def prescribe(self, condition: Temperature, mask: Mask, name: str) -> None:
-        """Prescribe the temperature of own particles, which may have several conditions that agree (collective)."""
+        """Prescribe the temperature of own particles (collective).
+
+        Several agreeing conditions may hold the same particle.
+        """
         own = np.flatnonzero(mask).astype(np.int32)
         self.held |= mask
         self._given.append((own, condition))
         self.given.add(name, "the temperature", own)
 
     def at(self, t: float) -> Float:
-        """Return the temperature at step time ``t`` (collective).
+        """Return the temperature at load parameter ``t`` (collective).
 
         Raises
         ------
@@ -87,23 +90,23 @@ class PrescribedTemperature(TemperatureField):
 
 
 class StressFree:
-    """Temperature and strains without stress of a body, as functions of the load parameter.
+    """Evaluate temperature and eigenstrains of a body as functions of the load parameter.
 
     Parameters
     ----------
     cloud, families
         The particles and their bonds.
     thermals : sequence of Thermal or None
-        What each material does with temperature.
+        Thermal properties of each material.
     material_of : (n_owned,) int
         Index into ``thermals`` of each own particle.
     field : TemperatureField, optional
-        The temperature; that without stress everywhere where absent.
+        Temperature field; without it the temperature is the stress-free one everywhere.
     eigenstrains : sequence of (particles, Eigenstrain)
-        Further strains without stress of own particles.
+        Further eigenstrains of own particles.
     across : (n_owned,) float64
-        By what share of the strain across the plane a bond gets longer [-]: Poisson's ratio in bodies of bonds in plane
-        strain, where what cannot expand across the plane does so within it.
+        Elongation of a bond per strain normal to the plane [-]. It is Poisson's ratio for bond-based bodies in plane
+        strain, which expand in the plane instead of normal to it; else 0.
     """
 
     def __init__(
@@ -125,11 +128,11 @@ class StressFree:
 
     @property
     def softens(self) -> bool:
-        """Return whether temperature changes moduli (not collective)."""
+        """Return True if temperature changes moduli (not collective)."""
         return any(thermal.softens for _, thermal in self.of_particles)
 
     def at(self, t: float) -> FreeDeformation:
-        """Return the deformation at a load parameter, the last one again if the temperature is the same (collective).
+        """Return the stress-free deformation at a load parameter, cached while the temperature stays (collective).
 
         Raises
         ------
@@ -144,7 +147,7 @@ class StressFree:
 
 
 class FreeDeformation:
-    """The stress-free deformation of the own particles, and the factor of their moduli, at one temperature.
+    """Store the stress-free deformation and the factor on the moduli of the own particles at one temperature.
 
     Parameters
     ----------
@@ -153,7 +156,7 @@ class FreeDeformation:
     t : float
         Load parameter [-].
     temperature : (n_owned,) float64 or None
-        Temperature of the own particles; None in a body without.
+        Temperature of the own particles; None for a body without temperature.
 
     Notes
     -----
@@ -169,7 +172,7 @@ class FreeDeformation:
 
     @cached_property
     def strain(self) -> Float:
-        """Return the strains without stress of the own particles (n_owned, 3, 3) [-]."""
+        """Return the total eigenstrain of the own particles, thermal strain included (n_owned, 3, 3) [-]."""
         strain, cloud = self.eigenstrain.copy(), self.of.cloud
         with agreed(cloud.comm):
             if self.temperature is not None:
@@ -185,7 +188,7 @@ class FreeDeformation:
 
     @cached_property
     def eigenstrain(self) -> Float:
-        """Return the part of these strains that no temperature makes (n_owned, 3, 3) [-]."""
+        """Return the eigenstrain without thermal strain (n_owned, 3, 3) [-]."""
         strain = np.zeros((self.of.cloud.n_owned, 3, 3))
         with agreed(self.of.cloud.comm):
             for where, condition in self.of.eigenstrains:
@@ -195,7 +198,7 @@ class FreeDeformation:
 
     @cached_property
     def factor(self) -> Float | None:
-        """Return the factor of the moduli of the own particles (n_owned,) [-]; None for 1."""
+        """Return the factor on the moduli of the own particles (n_owned,) [-]; None for 1."""
         if self.temperature is None or not self.of.softens:
             return None
         factor = np.ones(self.of.cloud.n_owned)
@@ -205,7 +208,7 @@ class FreeDeformation:
         return factor
 
     def in_body(self) -> Float:
-        """Return the strain that a body shows, with what that across its plane widens it by (n_owned, dim, dim) [-]."""
+        """Return the in-plane stress-free strain, widened by the strain normal to the plane (n_owned, dim, dim) [-]."""
         dim = self.of.cloud.dim
         shown = self.strain[:, :dim, :dim].copy()
         if dim == 2:
@@ -213,10 +216,10 @@ class FreeDeformation:
         return shown
 
     def elongation(self, finite: bool) -> Float:
-        """Return by how much bonds are longer without force (n_bonds,) [length] (collective on first use).
+        """Compute the force-free elongation of each bond (n_bonds,) [length] (collective on first use).
 
-        That is the mean of ``|(I + eps) xi| - |xi|`` of both ends, or of ``n . eps xi`` for elongations along the first
-        direction of a bond.
+        It is the mean of ``|(I + eps) xi| - |xi|`` of both ends, or of ``n . eps xi`` for elongations along the
+        reference direction of a bond.
         """
         if finite not in self._elongations:
             self._elongations[finite] = self._elongation(finite)

@@ -1,4 +1,4 @@
-"""Terms that a case declares, and the checks without which forces of theirs could be lost unnoticed."""
+"""Build the extra terms of a case, and check that none of their forces can be lost."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.term import ExtraTerm, Term
 
-# Pairs of members of stencils that are looked up at once.
+# Pairs of members of stencils per block of the search.
 BLOCK = 1_000_000
-# Ghosts are those of the families of own particles, whose members are two horizons apart at most.
+# Largest number of horizons: ghosts cover the families of own particles, whose members are at most two horizons apart.
 FURTHEST = 2
 
 
 def build_extra(declared: ExtraTerm, number: int, body: Body) -> Term:
-    """Return the term that a case declares as its ``number``-th (collective).
+    """Build the extra term with number ``number`` of a case (collective).
 
     Raises
     ------
     CaseError
-        It is not a ``Term``, has forces that nothing asks for, couples particles that are in no common family, or gives
-        copies of its arrays, which a continued run could not fill.
+        The result is not a ``Term``, its forces would never be used, or it couples particles without a common family.
+        Or its arrays are copies, which a restart could not fill.
     """
     name = type(declared).__name__
     term: Term = called(f"term {number}, {name}: its function", declared.build, body)
@@ -54,7 +54,7 @@ def build_extra(declared: ExtraTerm, number: int, body: Body) -> Term:
 
 
 def lie_in_families(body: Body, point_ptr: GlobalIndex, members: LocalIndex) -> bool:
-    """Return whether every stencil has an own particle in whose family all its members are (not collective)."""
+    """Return True if each stencil has an own particle whose family contains all its members (not collective)."""
     cloud, families = body.cloud, body.families
     n = np.int64(cloud.n_local)
     own = np.arange(cloud.n_owned, dtype=np.int64)
@@ -65,7 +65,7 @@ def lie_in_families(body: Body, point_ptr: GlobalIndex, members: LocalIndex) -> 
     while first < len(sizes):
         last = max(int(np.searchsorted(pairs, pairs[first] + BLOCK, side="right")) - 1, first + 1)
         size = sizes[first:last]
-        # Every member against every member of its stencil: the first is the centre.
+        # Test every member against every member of its stencil; the first is the centre.
         of = np.repeat(np.arange(len(size)), size**2)
         within = np.arange(len(of)) - (pairs[first:last] - pairs[first])[of]
         start = point_ptr[first:last][of]

@@ -1,4 +1,4 @@
-"""Whether bonds still hold a body together."""
+"""Fragments of a body that intact bonds connect."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pdpetsc.problem.problem import Problem
 
 
 def pieces_left(problem: Problem) -> tuple[int, int]:
-    """Return how many pieces of two particles or more the bonds that are not broken hold together, and lone particles.
+    """Count the fragments of two or more particles that unbroken bonds connect, and the single particles.
 
-    Those of the whole body, with what is behind mirror planes.
+    Counts are of the whole body, including the parts behind mirror planes.
 
     Notes
     -----
@@ -31,7 +31,7 @@ def pieces_left(problem: Problem) -> tuple[int, int]:
     parts = cloud.comm.allgather((labels, size, tied))
     found, number = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
     sizes = np.bincount(number.reshape(-1), np.concatenate([part[1] for part in parts]))
-    # A piece with bonds to its images is one with them, and with their images in turn.
+    # A fragment with bonds to its images forms one piece with them, and with their images in turn.
     n_mirrors = len(cloud.places.mirrors[0])
     together = {int(piece): {0} for piece in found}
     for piece, mirror in np.concatenate([part[2] for part in parts]).tolist():

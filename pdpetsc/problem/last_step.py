@@ -1,4 +1,4 @@
-"""How far a body moved in the last load step, from which the next one starts where its material remembers."""
+"""Extrapolation of the last load step, as initial guess for a material with history."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import KeptArray
 
-# Conditions go on as before where they differ by at most this share of their change in the coming step.
+# Conditions continue as before if they differ by at most this share of their change in the next step.
 STRAIGHT = 0.1
 
 
 class Loaded(Protocol):
-    """What it asks a problem for."""
+    """Define the interface of the problem that ``LastStep`` uses."""
 
     body: Body
     supports: Supports
@@ -33,55 +33,55 @@ class Loaded(Protocol):
         ...
 
     def admissible(self, state: State) -> bool:
-        """Return whether the body has a stress there (collective)."""
+        """Return True if the forces are defined at a state (collective)."""
         ...
 
 
 class LastStep:
-    """The change of the displacement in the last load step of a body whose material has a history.
+    """Store the change of the displacement in the last load step of a body whose material has a history.
 
-    At a state that has been committed the tangent of a material that has flowed is elastic, so that the linear response
-    to new conditions leads far from what flows on; the step before, moved on, leads near to it as long as conditions do
-    not turn.
+    At a committed state the tangent of a yielded material is elastic. The linear response to new conditions then leads
+    far from continued yielding. The last step, extrapolated, leads close to it as long as the conditions keep their
+    direction.
 
     Parameters
     ----------
     problem : Problem
-        What is solved.
+        The problem.
 
     Notes
     -----
-    Methods are collective but where they say otherwise.
+    Methods are collective unless stated otherwise.
     """
 
     def __init__(self, problem: Loaded) -> None:
         self._problem = problem
         n, dim = problem.body.cloud.n_owned, problem.body.dim
         self._change = np.zeros((n, dim))
-        # Step times of its end and its beginning, the same for all particles.
+        # Load parameters of its end and its beginning, the same for all particles.
         self._times = np.zeros((n, 2))
         self._from: Float | None = None
 
     def begin(self, u: Float) -> None:
-        """Say where a step starts from, unknowns (n_rows, dim) [length] (not collective)."""
+        """Store the unknowns (n_rows, dim) at the beginning of a step [length] (not collective)."""
         self._from = u[: len(self._change)].copy()
 
     def commit(self, state: State) -> None:
-        """Take a converged step (not collective)."""
+        """Store the change in a converged step (not collective)."""
         if self._from is None:
             return
         self._times[:] = np.stack([np.full(len(self._times), state.t), self._times[:, 0]], axis=1)
         self._change[:] = state.own - self._from
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return what a continued run needs (not collective)."""
+        """Return the arrays that a restart needs (not collective)."""
         own = np.arange(len(self._change), dtype=np.int32)
         return {"last_step_change": KeptArray(own, self._change), "last_step_times": KeptArray(own, self._times)}
 
     def moved_on(self, u: Float, t: float) -> Float | None:
-        """Return unknowns (n_rows, dim) at step time ``t`` if the body goes on as before [length].
+        """Extrapolate the unknowns (n_rows, dim) to load parameter ``t`` [length].
 
-        None where there is no step before, conditions turn, or the body is not admissible there.
+        None if there is no earlier step, the conditions change direction, or the result is not admissible.
         """
         comm = self._problem.body.cloud.comm
         last, first = (largest(comm, float(column.max(initial=0.0))) for column in self._times.T)

@@ -1,4 +1,4 @@
-"""Soft springs on particles that have lost bonds, which keep the tangent regular while a solver iterates."""
+"""Soft springs on particles that have lost bonds, which keep the tangent regular during a solve."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SOFT = 1e-8
 
 
 class LooseSprings(Term):
-    """Soft springs on particles that have lost bonds: a piece that has come free stays where it is.
+    """Hold particles that have lost bonds with soft springs, so that a detached piece stays in place.
 
-    A spring, far softer than a bond, ties the particle to where it is when a solve starts. Solvers then move the
-    springs with it until they have no force, and only that counts as equilibrium. Outputs leave them out.
+    A spring, far softer than a bond, connects the particle to its position at the start of a solve. Solvers then move
+    the springs until they have no force; only such a state is an equilibrium. Outputs do not contain the springs.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     material_term : MaterialTerm
-        Whose particles may lose bonds.
+        Material whose particles may lose bonds.
     stiffness : float
         Typical stiffness of a particle [force / length].
     """
@@ -44,11 +44,11 @@ class LooseSprings(Term):
 
     @property
     def parts(self) -> list[str]:
-        """Return nothing: the case does not declare them."""
+        """Return an empty list: the case does not declare the springs."""
         return []
 
     def hold(self, u: Float) -> None:
-        """Hold the particles that have lost bonds where they are at unknowns ``u`` (n_rows, dim) (collective)."""
+        """Hold the particles that have lost bonds at their positions at unknowns ``u`` (n_rows, dim) (collective)."""
         held = self._material_term.local_damage() > 0.0
         self._anchor = u
         if int(total(self._body.cloud.comm, int(np.any(held != self._held)))):
@@ -61,11 +61,11 @@ class LooseSprings(Term):
         self._anchor = u
 
     def force(self, u: Float) -> Float:
-        """Return the forces against the springs at ``u`` (n_rows, dim) [force] (not collective)."""
+        """Compute the restoring forces of the springs at ``u``, as residual (n_rows, dim) [force] (not collective)."""
         return self.resistance(u - self._anchor)
 
     def resistance(self, du: Float) -> Float:
-        """Return the forces against a change of the unknowns (n_rows, dim) [force] (not collective)."""
+        """Compute the forces against a change of the unknowns, as residual (n_rows, dim) [force] (not collective)."""
         f = np.zeros_like(du)
         n = len(self._held)
         f[:n] = np.where(self._held[:, None], self._each * du[:n], 0.0)
@@ -77,7 +77,7 @@ class LooseSprings(Term):
             r += self.force(state.u)
 
     def linearise(self, state: State) -> list[Product]:
-        """Return their stiffness."""
+        """Return the stiffness of the springs."""
         if not self.active:
             return []
         return [PointBlocks(np.where(self._held, self._each, 0.0)[:, None, None] * np.eye(self._body.dim))]

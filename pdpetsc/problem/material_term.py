@@ -1,4 +1,4 @@
-"""The term of the material: what outputs and loads ask of it."""
+"""Base class of the term of the material, with the quantities that outputs and loads use."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from pdpetsc.problem.term import Term
 
 
 class MaterialTerm(Term):
-    """Material of a body, at gradient points or in bonds.
+    """Represent the material of a body, at gradient points or in bonds.
 
     Attributes
     ----------
     note : str
-        What a user should know about how it was built; the same on all ranks.
+        Note for the user on how the term was built; the same on all ranks.
     n_detached : int
-        Particles on all ranks that have too few bonds left for a gradient, and therefore no stress.
+        Number of particles on all ranks with too few bonds for a gradient. They have no stress.
 
     Notes
     -----
-    Every method is collective but where it says otherwise.
+    Every method is collective unless stated otherwise.
     """
 
     horizons = 2
     energy_of = "strain"
     note: str = ""
     n_detached: int = 0
-    # Whether its forces depend on time, for which step times must stand.
+    # Whether the forces depend on time, which requires load steps.
     timed: bool = False
 
     def __init__(self, body: Body) -> None:
@@ -42,7 +42,7 @@ class MaterialTerm(Term):
     @property
     @abstractmethod
     def n_points(self) -> int:
-        """Return the gradient points of this rank, 0 for a body without (not collective)."""
+        """Return the number of gradient points of this rank, 0 for a body without (not collective)."""
 
     @property
     @abstractmethod
@@ -60,7 +60,7 @@ class MaterialTerm(Term):
         return None
 
     def family_strain(self, state: State) -> Float | None:
-        """Return the tensile strain by which bonds break besides their own drive (n_bonds,) [-], None for none."""
+        """Return the tensile family strain that also breaks bonds (n_bonds,) [-]; None if unused."""
         return None
 
     @abstractmethod
@@ -73,13 +73,13 @@ class MaterialTerm(Term):
 
     @abstractmethod
     def cauchy_stress(self, state: State) -> Float:
-        """Return the Cauchy stress of the own particles (n_owned, dim, dim) [stress]; P where the body is linear."""
+        """Return the Cauchy stress of the own particles (n_owned, dim, dim) [stress]; P at small strain."""
 
     @abstractmethod
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
-        """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,).
+        """Return stretch [-], P and Cauchy stress [stress] normal to a plane or line body, each (n_owned,).
 
-        All three are those of one direction; a line has two equal ones.
+        The values are those of one direction. A line has two equal ones.
         """
 
     @abstractmethod
@@ -91,33 +91,33 @@ class MaterialTerm(Term):
         return np.zeros(self.body.cloud.n_owned)
 
     def plastic_growth(self, state: State) -> float:
-        """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
+        """Return the largest increase of the plastic strain on this rank if the step ends at a state [-]."""
         return 0.0
 
     def local_damage(self) -> Float:
-        """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
+        """Return the lost share of the stiffness of the bonds of each own particle (n_owned,) [-] (not collective)."""
         return np.zeros(self.body.cloud.n_owned)
 
     def dissipated_energy(self) -> float | None:
-        """Return what damage has dissipated [energy]; None where its laws alone do not give it."""
+        """Return the energy dissipated by damage [energy]; None if the damage laws do not determine it."""
         density, cloud = self.dissipation_density(), self.body.cloud
         return None if density is None else float(total(cloud.comm, float(density @ cloud.volume[: cloud.n_owned])))
 
     def dissipation_density(self) -> Float | None:
-        """Return what damage has dissipated at the own particles (n_owned,) [energy / volume].
+        """Return the energy density dissipated by damage at the own particles (n_owned,) [energy / volume].
 
-        None where its laws alone do not give it (not collective).
+        None if the damage laws do not determine it (not collective).
         """
         return None if self.has_history else np.zeros(self.body.cloud.n_owned)
 
     @abstractmethod
     def uniform_stress_force(self, P: Float) -> Float:
-        """Return the forces that hold stresses ``P`` (n_owned, dim, dim) of the particles in balance (n_rows, dim).
+        """Return the forces that balance stresses ``P`` (n_owned, dim, dim) of the particles (n_rows, dim) [force].
 
         Raises
         ------
         CaseError
-            The formulation has no such forces.
+            The formulation does not define such forces.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Nearest neighbours in place of wide families: a small matrix that preconditions the tangent of a body."""
+"""Preconditioner matrix with nearest neighbours instead of whole families."""
 
 from __future__ import annotations
 
@@ -15,29 +15,30 @@ from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem, Tangent
 
-# Bonds are near up to this multiple of the length of the dim-th shortest one of either end.
+# A bond is near up to this multiple of the length of the dim-th shortest bond of either end.
 REACH = 1.25
-# A near family is widened in these steps while its shape tensor is thinner than this.
+# Factor by which a near family is widened while its shape tensor is thinner than THIN, and the largest number of times.
 WIDER, THIN, WIDENINGS = 1.3, 0.1, 12
 # Eigenvalues of a shape tensor below this share of the largest count as zero.
 LACKING = 1e-3
-# Stiffness of the zero-energy control over the modulus of the body, and the least of it over the mean one.
+# Stiffness of the zero-energy control over the modulus of the body, and its smallest value over the mean one.
 CONTROL, LEAST = 0.5, 1e-6
 
 
 class NearAssembler(Assembler):
-    """Plain correspondence with Silling's control over nearest neighbours, with the stiffness of the whole body.
+    """Assemble correspondence with Silling's control over nearest neighbours, with the stiffness of the whole body.
 
-    ``G_n^T D G_n + K_control``: ``D_i = sum_p W_p A_p`` of the points of particle i in the body, whatever its scheme,
-    materials and damage, and ``G_n`` the gradient over near bonds that are not broken. What couples a particle to
-    itself alone is as in the body. On a square lattice a row has 13 blocks and on a cubic one 25, for any horizon; a
-    long wave has the same energy in both bodies, and the energies of short ones differ by a factor that does not depend
-    on the size of the body.
+    The matrix is ``G_n^T D G_n + K_control``. ``D_i = sum_p W_p A_p`` sums the points of particle i in the body, for
+    any scheme, materials and damage. ``G_n`` is the gradient over near unbroken bonds. The coupling of a particle with
+    itself alone is that of the body.
+
+    A row has 13 blocks on a square lattice and 25 on a cubic one, for any horizon. A long wave has the same energy in
+    both bodies. Energies of short waves differ by a factor that does not depend on the size of the body.
 
     Parameters
     ----------
     problem : Problem
-        The body and what acts on it.
+        The problem.
 
     Notes
     -----
@@ -51,7 +52,7 @@ class NearAssembler(Assembler):
         stencils = whole_families(cloud, families, cloud.volume[families.neighbours])
         K = stencils.shape_tensors(cloud.x)
         self._size = np.einsum("pii->p", K)
-        # In directions that a family lacks its gradient is zero.
+        # The gradient is zero in directions that a family does not span.
         self._K_inverse = np.linalg.pinv(K, rcond=LACKING, hermitian=True)
         g = stencil_weights(stencils, cloud.x, self._K_inverse)
         one = np.ones(cloud.n_owned)
@@ -60,7 +61,7 @@ class NearAssembler(Assembler):
         self._tangent: Tangent | None = None
 
     def take_tangent(self) -> Tangent:
-        """Return the tangent of the problem where the matrix was last filled, which is not kept (not collective)."""
+        """Return the tangent of the last fill, and release it (not collective)."""
         assert self._tangent is not None
         tangent, self._tangent = self._tangent, None
         return tangent
@@ -76,7 +77,7 @@ class NearAssembler(Assembler):
         return Tangent(self.problem.body, [*near, *own])
 
     def _control(self, D: Float) -> NonUniform:
-        """Return the control with a stiffness like that of the body (collective)."""
+        """Build the control with a stiffness like that of the body (collective)."""
         cloud, dim = self.problem.body.cloud, self.problem.dim
         modulus = np.einsum("piikk->p", D) / dim**2
         sums = total(cloud.comm, [modulus.sum(), float(len(modulus))])
@@ -87,10 +88,10 @@ class NearAssembler(Assembler):
 
 
 def near_families(problem: Problem) -> Families:
-    """Return the bonds of the own particles to near neighbours, the same from both ends (collective).
+    """Return the bonds of the own particles to near neighbours, symmetric in both ends (collective).
 
-    Near is what is within the reach of one of the ends: 1.25 times the length of its ``dim``-th shortest bond, and more
-    where what is near lies in a plane or on a line. Broken bonds do not count.
+    A bond is near if it is within the reach of one end, 1.25 times the length of its ``dim``-th shortest bond. The
+    reach is increased if the near neighbours lie in a plane or on a line. Broken bonds do not count.
     """
     cloud, families, dim, damage = problem.body.cloud, problem.body.families, problem.dim, problem.bond_damage
     kept = np.ones(len(families.neighbours), dtype=bool) if damage is None else damage.bonds.intact
@@ -108,7 +109,7 @@ def near_families(problem: Problem) -> Families:
 
 
 def _within(problem: Problem, kept: Mask, reach: Float) -> Families:
-    """Return the kept bonds within the reach of an end; that of the own particles counts (collective)."""
+    """Return the kept bonds within the reach of an end; the reach of own particles is the input (collective)."""
     cloud, families = problem.body.cloud, problem.body.families
     cloud.halo.forward(reach)
     near = np.empty(len(kept), dtype=bool)
@@ -118,6 +119,6 @@ def _within(problem: Problem, kept: Mask, reach: Float) -> Families:
 
 
 def _counts(families: Families, chosen: Mask) -> GlobalIndex:
-    """Return how many bonds of every family are chosen (n_owned,)."""
+    """Return the number of chosen bonds of every family (n_owned,)."""
     before = np.concatenate([[0], np.cumsum(chosen, dtype=np.int64)])
     return np.asarray(np.diff(before[families.indptr]))

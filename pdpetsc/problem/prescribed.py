@@ -1,4 +1,4 @@
-"""Particles whose displacement or temperature several conditions prescribe."""
+"""Conditions that prescribe the displacement or temperature of the same particles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAME_VALUE = 1e-12
 
 
 class Prescribed:
-    """What conditions prescribe, to compare their values on particles that several of them hold.
+    """Store which conditions prescribe which particles, to compare values on particles with several conditions.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ class Prescribed:
     def __init__(self, cloud: Cloud) -> None:
         self._cloud = cloud
         self._given: list[tuple[str, str, GlobalIndex | LocalIndex]] = []
-        # Numbers of the later and the earlier condition, and the places of their particles in both.
+        # Numbers of the later and the earlier condition, and the indices of their common particles in both.
         self._shared: list[tuple[int, int, GlobalIndex, GlobalIndex]] = []
 
     @property
     def shared(self) -> bool:
-        """Return True if two conditions prescribe the same unknown of any particle of the body."""
+        """Return True if two conditions prescribe the same unknown of a particle of the body."""
         return bool(self._shared)
 
     def add(self, name: str, what: str, own: GlobalIndex | LocalIndex) -> None:
@@ -49,7 +49,7 @@ class Prescribed:
         self._given.append((name, what, own))
 
     def refuse_different(self, values: Sequence[Float], t: float) -> None:
-        """Raise SolveError if two conditions prescribe different values of a particle at step time ``t``.
+        """Raise SolveError if two conditions prescribe different values of a particle at load parameter ``t``.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Terms and constraints: what solvers see of a case."""
+"""The problem that solvers see: terms, supports and damage."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pdpetsc.problem.term import KeptArray, Term
 
 
 class Problem:
-    """The residual ``sum of terms`` of a body with prescribed unknowns, its tangent and its energy.
+    """Represent the residual ``sum of terms`` of a body with prescribed unknowns, its tangent and its energy.
 
     Parameters
     ----------
@@ -34,28 +34,29 @@ class Problem:
     material_term : MaterialTerm
         The term of the material.
     terms : sequence of Term
-        The others: zero-energy control, loads, whatever a case adds.
+        The other terms: zero-energy control, loads, extra terms.
     supports : Supports
         Prescribed unknowns.
     damage : DamageModel, optional
-        What can fail.
+        Damage of bonds or points.
     duration : float
         Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
     bond_damage : Damage or None
-        The damage of bonds, if it is bonds that fail.
+        The damage of bonds; None if bonds do not fail.
     springs : LooseSprings or None
-        The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
+        Term with the springs on loose particles, which solvers move; None if bonds cannot fail.
     fields : list of SolvedField
-        Fields that are solved for beside the displacement, at most one.
+        Fields that are solved for besides the displacement, at most one.
     last_step : LastStep or None
-        How far the body moved in the last load step, where its material has a history and nothing else changes.
+        Change of the displacement in the last load step. Only for a material with history, without damage, expansion or
+        cell.
 
     Notes
     -----
-    Every method is collective but where it says otherwise.
+    Every method is collective unless stated otherwise.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Problem:
         self.bond_damage: Damage | None = None if damage is None else damage.of_bonds
         self.springs: LooseSprings | None = None
         self.fields: list[SolvedField] = []
-        # What has been cut off a cell, heated or damaged does not go on as in the step before.
+        # Cells, expansion and damage do not continue as in the last step.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
         self.last_step = LastStep(self) if goes_on and material_term.has_history else None
         points = material_term.driving_points
@@ -86,7 +87,7 @@ class Problem:
             self.bond_damage.driving_variable.take(points)
         self._last: State | None = None
         self._last_version = -1
-        # Stress-free deformation and version with the forces without strain that they give.
+        # Stress-free deformation, version, and the forces without strain that belong to both.
         self._unstrained: tuple[FreeDeformation | None, int, Float] | None = None
 
     @property
@@ -96,47 +97,47 @@ class Problem:
 
     @property
     def linear(self) -> bool:
-        """Return whether the residual is linear in the unknowns now (not collective)."""
+        """Return True if the residual is currently linear in the unknowns (not collective)."""
         return all(term.linear for term in self.terms)
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return whether the residual is linear in the unknowns as long as no bond fails (not collective)."""
+        """Return True if the residual is linear in the unknowns as long as no bond fails (not collective)."""
         return all(term.piecewise_linear for term in self.terms)
 
     @property
     def symmetric(self) -> bool:
-        """Return whether the tangent is symmetric (not collective)."""
+        """Return True if the tangent is symmetric (not collective)."""
         return all(term.symmetric for term in self.terms)
 
     @property
     def coupled(self) -> bool:
-        """Return True if another field is solved for together with the displacement (not collective)."""
+        """Return True if another field is solved together with the displacement (not collective)."""
         return any(field.monolithic for field in self.fields)
 
     @property
     def constrained(self) -> bool:
-        """Return whether the tangent has a part that is nearly conditions on the displacement (not collective)."""
+        """Return True if the tangent has a stiff low-rank part, see ``Product.constraint`` (not collective)."""
         return any(term.constrained for term in self.terms)
 
     @property
     def horizons(self) -> int:
-        """Return over how many horizons particles are coupled (not collective)."""
+        """Return the number of horizons over which particles are coupled (not collective)."""
         return max(term.horizons for term in self.terms)
 
     @property
     def version(self) -> int:
-        """Return a number that grows whenever the tangent at the same unknowns changes (not collective)."""
+        """Return a number that increases if the tangent at the same unknowns changes (not collective)."""
         return sum(term.version for term in self.terms) + (0 if self.damage is None else self.damage.version)
 
     @property
     def rebuilds(self) -> int:
-        """Return a number that grows whenever bonds break or mend (not collective)."""
+        """Return a number that increases if bonds break or mend (not collective)."""
         return 0 if self.damage is None else self.damage.breaks
 
     @property
     def has_history(self) -> bool:
-        """Return whether forces depend on converged steps; the same on all ranks (not collective)."""
+        """Return True if the forces depend on converged steps; the same on all ranks (not collective)."""
         return self.damage is not None or any(term.has_history for term in self.terms)
 
     @property
@@ -149,7 +150,7 @@ class Problem:
         return held
 
     def resisted(self, modes: Float) -> Float:
-        """Return what supports and grounded terms resist of displacements (n_owned, dim) [length], 0 where nothing."""
+        """Return the part of displacements (n_owned, dim) that supports and grounded terms resist [length], else 0."""
         found = self.supports.violation(modes)
         for term in self.terms:
             if term.grounded is not None:
@@ -158,7 +159,7 @@ class Problem:
 
     @property
     def parts(self) -> list[str]:
-        """Return what it is made of, for the record (not collective)."""
+        """Return the names of the parts of the problem, for the run record (not collective)."""
         damage = [] if self.damage is None else [f"damage {self.damage.name}"]
         return ["families", *(part for term in self.terms for part in term.parts), *damage]
 
@@ -167,7 +168,10 @@ class Problem:
         return Clock(t, t * self.duration, (t - self._converged) * self.duration)
 
     def state(self, u: Float, t: float = 0.0) -> State:
-        """Return the state at unknowns (n_rows, dim) and a step time, the last one again where nothing has changed."""
+        """Return the state at unknowns (n_rows, dim) and a load parameter.
+
+        The last state is returned again if nothing has changed.
+        """
         last = self._last
         expansion = None if self.body.expansion is None else self.body.expansion.at(t)
         same = last is not None and last.t == t and last.expansion is expansion and np.array_equal(last.u, u)
@@ -178,17 +182,17 @@ class Problem:
         return last
 
     def admissible(self, state: State) -> bool:
-        """Return whether forces are defined at a state on every rank."""
+        """Return True if the forces are defined at a state on every rank."""
         here = [term.admissible(state) for term in self.terms]
         return int(total(self.body.cloud.comm, int(not all(here)))) == 0
 
     def internal_force(self, state: State, of_solver: bool = True) -> Float | None:
-        """Return the forces of all terms but loads (n_rows, dim) [force]; None on all ranks where they are undefined.
+        """Return the forces of all terms except loads (n_rows, dim) [force]; None on all ranks if they are undefined.
 
-        Without ``of_solver`` terms that only help a solver are left out.
+        Without ``of_solver``, terms that only help a solver are omitted.
         """
         terms = [term for term in self.terms if not term.load and (of_solver or not term.of_solver)]
-        # Exchange ghosts here: a term might ask for them on one rank alone.
+        # Exchange ghosts here, since a term might request them on one rank only.
         _ = state.u_local
         here = [term.admissible(state) for term in terms]
         if int(total(self.body.cloud.comm, int(not all(here)))):
@@ -201,9 +205,9 @@ class Problem:
         return -self.force_of(loads, state)
 
     def force_without_strain(self, t: float) -> Float | None:
-        """Return the forces of an expanding body's material at no displacement (n_rows, dim) [force], else None.
+        """Return the forces of the material of an expanding body at zero displacement (n_rows, dim) [force].
 
-        They are what a residual is compared with where neither loads nor supports act.
+        None if the body does not expand. The residual is compared with these forces if neither loads nor supports act.
         """
         if self.body.expansion is None:
             return None
@@ -214,7 +218,7 @@ class Problem:
         return last[2]
 
     def force_of(self, terms: Sequence[Term], state: State) -> Float:
-        """Return what terms add to the residual at a state that they admit (n_rows, dim) [force]."""
+        """Return the sum of the contributions of terms to the residual at an admissible state (n_rows, dim) [force]."""
         if any(term.horizons for term in terms):
             _ = state.u_local
         r = np.zeros_like(state.u)
@@ -234,16 +238,16 @@ class Problem:
         return r
 
     def linearised(self, state: State) -> Tangent:
-        """Return the tangent at a state, which is applied without assembling it."""
+        """Return the tangent at a state, which is applied without assembly."""
         _ = state.u_local
         products = [product for term in self.terms for product in term.linearise(state)]
         if state is self._last:
-            # The memory of this state goes to the moduli, so it is not kept for reuse.
+            # The state frees its memory for the moduli, so it is not cached.
             self._last = None
         return Tangent(self.body, products)
 
     def energies(self, state: State) -> dict[str, float]:
-        """Return the energies of the terms by what they are the energy of [energy]: ``strain``, ``control``, ..."""
+        """Return the energies of the terms by name (``Term.energy_of``: ``strain``, ``control``, ...) [energy]."""
         names = dict.fromkeys(["strain", "control", *(term.energy_of for term in self.terms)])
         sums = dict.fromkeys(names, 0.0)
         for term in self.terms:
@@ -252,9 +256,9 @@ class Problem:
         return {name: float(value) for name, value in zip(sums, found, strict=True)}
 
     def arrays(self) -> dict[str, KeptArray]:
-        """Return what a continued run needs besides unknowns and bonds, by names of term and array (not collective).
+        """Return the arrays that a restart needs besides unknowns and bonds, by term and array name (not collective).
 
-        Terms of one name are numbered from the second on.
+        Terms of the same name are numbered from the second on.
         """
         found: dict[str, KeptArray] = {}
         count: Counter[str] = Counter()
@@ -266,7 +270,7 @@ class Problem:
         return found if self.last_step is None else {**found, **self.last_step.arrays()}
 
     def restored(self, t: float) -> None:
-        """Continue from a load parameter; terms follow their arrays, which have been read (not collective)."""
+        """Continue from a load parameter, after the arrays of the terms have been read (not collective)."""
         self._converged = t
         for term in self.terms:
             if term.arrays():
@@ -292,25 +296,25 @@ class Problem:
             field.revert()
 
     def revert_bonds(self) -> None:
-        """Restore the bonds of the last committed state; solved fields keep the present step."""
+        """Restore the bonds of the last committed state; solved fields keep the current step."""
         if self.damage is not None:
             self._bonds_changed(rebuild=self.damage.revert())
 
     def advance(self, before: float, t: float) -> None:
-        """Begin the step from the converged step time ``before`` to ``t``; staggered fields are solved for."""
+        """Begin the step from the converged load parameter ``before`` to ``t``, and solve staggered fields."""
         self._converged = before
         for field in self.fields:
             field.advance(before, t)
 
     def plastic_growth(self, state: State) -> float:
-        """Return how much plastic strain grows at most if the step ends at a state [-]."""
+        """Return the largest increase of the plastic strain if the step ends at a state [-]."""
         return largest(self.body.cloud.comm, self.material_term.plastic_growth(state))
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs.
+        """Break bonds beyond their final drive, about ``most`` at once, largest first; return the number of pairs.
 
-        If none is past it, bonds break by the strain of a family, if the damage evolution and the driving variable
-        allow it. Return 0 if bonds do not fail.
+        If no bond is beyond it, bonds break by the strain of a family, if damage evolution and driving variable allow
+        it. Return 0 if bonds do not fail.
         """
         if self.damage is None:
             return 0
@@ -323,7 +327,7 @@ class Problem:
         return broken
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Accept the damage at a state; return the largest change of a degradation factor [-]."""
         assert self.damage is not None
         change = self.damage.soften(state)
         if change > 0.0:
@@ -331,19 +335,19 @@ class Problem:
         return change
 
     def reset_bonds(self, stored: tuple[Float, ...]) -> None:
-        """Go back to a state of the bonds (``Damage.stored``) in which the same ones are broken."""
+        """Restore a stored state of the bonds (``Damage.stored``) in which the same bonds are broken."""
         assert self.damage is not None
         self.damage.reset(stored)
         self._bonds_changed(rebuild=False)
 
     def bonds_restored(self) -> None:
-        """Follow the state of the bonds, set from outside, and keep it."""
+        """Update after the state of the bonds was set from outside, and commit it."""
         assert self.bond_damage is not None
         self.bond_damage.bonds.commit()
         self._bonds_changed(rebuild=True)
 
     def _bonds_changed(self, rebuild: bool) -> None:
-        """Let terms follow bonds that have lost or regained force, and broken or mended ones if ``rebuild``."""
+        """Notify terms of bonds that have lost or regained force; if ``rebuild``, of broken or mended bonds."""
         assert self.damage is not None
         for term in self.terms:
             term.bonds_changed(rebuild)
@@ -352,24 +356,24 @@ class Problem:
 
     @property
     def softens(self) -> bool:
-        """Return whether bonds lose their force gradually (not collective)."""
+        """Return True if bonds lose their force gradually (not collective)."""
         return self.damage is not None and self.damage.softens
 
     def freeze(self, frozen: bool) -> None:
-        """Hold damage as it is, or let it follow the displacement (not collective)."""
+        """Fix damage, or let it follow the displacement (not collective)."""
         if self.damage is not None:
             self.damage.freeze(frozen)
 
 
 class Tangent:
-    """The tangent ``K`` of a problem at a state.
+    """Represent the tangent ``K`` of a problem at a state.
 
     Parameters
     ----------
     body : Body
-        Whose unknowns it takes.
+        The body.
     products : sequence of Product
-        What it is the sum of.
+        Summands of the tangent.
 
     Notes
     -----
@@ -397,17 +401,20 @@ class Tangent:
             add(du, f, particles)
 
     def softened(self) -> Tangent:
-        """Return it without its constraint; itself if there is none (not collective)."""
+        """Return the tangent without its constraint; itself if there is none (not collective)."""
         if self.constraint() is None:
             return self
         return Tangent(self.body, [product for product in self.products if product.constraint() is None])
 
     def constraint(self) -> ConstraintProduct | None:
-        """Return the product that is nearly conditions on the displacement (not collective)."""
+        """Return the stiff low-rank part of the tangent; None if there is none (not collective)."""
         return next((product.constraint() for product in self.products if product.constraint() is not None), None)
 
     def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
-        """Yield virtual row, component and column (n_rows, dim) of each virtual unknown; the next may overwrite it."""
+        """Yield virtual row, component and column (n_rows, dim) of each virtual unknown.
+
+        The next iteration may overwrite the column.
+        """
         cloud = self.body.cloud
         for v in range(cloud.n_virtual_global):
             for c in range(cloud.dim):
@@ -422,10 +429,9 @@ class Tangent:
         return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
 
     def point_blocks(self) -> Float:
-        """Return what couples each own particle to itself, (n_owned, dim, dim) [force / length].
+        """Return the diagonal block of each own particle (n_owned, dim, dim) [force / length].
 
-        Bonds that soften count with their secant, and what couples a particle to its own image is left out
-        (collective).
+        Softening bonds contribute their secant. Coupling of a particle with its own image is omitted (collective).
         """
         cloud, dim = self.body.cloud, self.body.dim
         found = np.zeros((cloud.n_local, dim, dim))
@@ -445,7 +451,7 @@ class Tangent:
 
 
 def _loops(products: Sequence[Product]) -> list[Loop]:
-    """Return the loops that add the forces of all products, two products in one loop if that is quicker."""
+    """Return the loops that add the forces of all products, two products in one loop if that is faster."""
     left = list(products)
     loops: list[Loop] = []
     while left:

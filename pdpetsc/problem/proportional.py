@@ -1,4 +1,4 @@
-"""Whether loads and prescribed unknowns are proportional to the load factor, as two of the solvers need."""
+"""Check that loads and prescribed unknowns are proportional to the load factor, as two of the solvers require."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
-# Step times at which conditions are compared with their proportional values, and how closely.
+# Load parameters at which conditions are compared with their proportional values; beyond the range of load steps, which
+# a load factor may leave; and the relative tolerance.
 PROBES = (0.0, 0.3, 0.7)
-# And beyond the range of load steps, where a load factor may go.
 BEYOND = (-0.4, 1.6)
 PROPORTIONAL = 1e-12
 
 
 def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
-    """Raise on all ranks unless loads and prescribed unknowns are the step time times what they are at 1 (collective).
+    """Raise on all ranks unless loads and prescribed unknowns are proportional to the load parameter (collective).
 
-    Loads must not depend on the displacement, and what other terms than the material add must vanish with the
-    displacement and not depend on the step time: the residual is then ``f_int(u) - t f_ext``.
+    Loads must not depend on the displacement. The forces of all other terms except the material must vanish with the
+    displacement and not depend on the load parameter. The residual is then ``f_int(u) - t f_ext``.
 
     Parameters
     ----------
     who : str
-        The solver, for the message.
+        Name of the solver, for the message.
     beyond : bool
-        Also at step times that load steps do not reach.
+        Whether to test also load parameters outside [0, 1].
     """
     if problem.body.expansion is not None:
         raise CaseError(
@@ -47,7 +47,7 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
     whole = at(1.0)
     for t in times:
         part = at(t)
-        # Displacements and forces, each by their own size.
+        # Compare displacements and forces each with their own magnitude.
         if any(_differ(problem, p, t * w, w) for p, w in zip(part, whole, strict=True)):
             raise CaseError(
                 f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
@@ -83,7 +83,7 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
 
 
 def _differ(problem: Problem, a: Float, b: Float, of: Float) -> bool:
-    """Return whether two arrays differ, relative to the largest number of a third (collective)."""
+    """Return True if two arrays differ, relative to the largest entry of a third (collective)."""
     comm = problem.body.cloud.comm
     off, size = (largest(comm, float(np.abs(values).max(initial=0.0))) for values in (a - b, of))
     return bool(off > PROPORTIONAL * max(size, 1e-300))

@@ -1,4 +1,4 @@
-"""The units in which PETSc sees a body: numbers near one, whatever the units of the case."""
+"""Scales of the unknowns and residuals that PETSc receives, independent of the units of the case."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pdpetsc.problem.material_term import MaterialTerm
 
 @dataclass(frozen=True)
 class Scales:
-    """Unknowns in PETSc are displacements over ``length``, residuals forces over ``stiffness`` times ``length``.
+    """Scale unknowns and residuals for PETSc: displacements by ``length``, residuals by ``stiffness * length``.
 
-    PETSc compares some of its numbers with absolute ones: pivots of its own factorisations, tolerances of line searches
-    and Krylov methods. With these scales what it sees does not depend on the units of the case. They are powers of two,
-    so that scaling rounds nothing.
+    PETSc compares some numbers with absolute ones: pivots of its factorisations, tolerances of line searches and Krylov
+    methods. With these scales they do not depend on the units of the case. The scales are powers of two, so that
+    scaling causes no rounding.
 
     Parameters
     ----------
     length : float
-        About the distance of neighbours [length].
+        Approximate distance of neighbours [length].
     stiffness : float
-        About the diagonal of the tangent [force / length].
+        Approximate diagonal of the tangent [force / length].
     """
 
     length: float
@@ -33,26 +33,28 @@ class Scales:
 
     @property
     def force(self) -> float:
-        """Return the force that is one in PETSc [force]."""
+        """Return the unit of force in PETSc [force]."""
         return self.stiffness * self.length
 
 
 def scales_of(body: Body, material_term: MaterialTerm) -> Scales:
-    """Return the scales of a body (collective)."""
+    """Compute the scales of a body (collective)."""
     cloud = body.cloud
     length = float(total(cloud.comm, float(nearest_distances(body).sum()))) / cloud.n_global
     return Scales(_power_of_two(length), _power_of_two(stiffness_scale(body, material_term)))
 
 
 def stiffness_scale(body: Body, material_term: MaterialTerm) -> float:
-    """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials (collective)."""
+    """Compute a typical diagonal of the tangent, ``kappa V / horizon^2``, of the stiffest material (collective)."""
     cloud = body.cloud
     each = cloud.volume[: cloud.n_owned] / cloud.local_horizon[: cloud.n_owned] ** 2
     return material_term.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
 
 
 def nearest_distances(body: Body) -> Float:
-    """Return the distance of each own particle to its nearest neighbour (n_owned,) [length]; the horizon without one.
+    """Compute the distance of each own particle to its nearest neighbour (n_owned,) [length].
+
+    The horizon for a particle without neighbours.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Fields that are solved for beside the displacement, such as a temperature."""
+"""Interface of fields that are solved for besides the displacement, such as a temperature."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import Protocol
 
 
 class SolvedField(Protocol):
-    """A field that equilibrium depends on and that does not depend on the displacement of the step."""
+    """Describe a field that equilibrium depends on and that does not depend on the displacement of the step."""
 
     @property
     def monolithic(self) -> bool:
-        """Return True if it is solved for together with the displacement, not before it (not collective)."""
+        """Return True if the field is solved together with the displacement, not before it (not collective)."""
         ...
 
     def advance(self, before: float, t: float) -> None:
-        """Go from the last converged step time ``before`` to ``t``, or set up the system of that step (collective).
+        """Solve the field from the converged load parameter ``before`` to ``t``, or set up its system (collective).
 
         Raises
         ------
@@ -23,7 +23,7 @@ class SolvedField(Protocol):
         """
 
     def revert(self) -> None:
-        """Go back to the last converged step (collective)."""
+        """Restore the last converged step (collective)."""
 
     def destroy(self) -> None:
-        """Free what it holds outside Python (collective)."""
+        """Free memory outside Python (collective)."""

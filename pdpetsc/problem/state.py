@@ -1,4 +1,4 @@
-"""State of a problem: unknowns, clock, and what is computed from them."""
+"""State of a problem: unknowns, clock, and quantities computed from them."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ T = TypeVar("T")
 
 
 class State:
-    """Unknowns and clock, and what terms have computed from them.
+    """Store unknowns and clock, and the quantities that terms compute from them.
 
-    Ghosts are exchanged once, when they are first asked for, and what a term keeps here (deformation gradients,
-    degradation factors of bonds) is computed once for forces, tangent, energy and outputs.
+    Ghosts are exchanged once, on first use. Quantities that terms cache here (deformation gradients, degradation
+    factors of bonds) are computed once for forces, tangent, energy and outputs.
 
     Parameters
     ----------
     body : Body
-        Whose unknowns they are.
+        The body.
     u : (n_rows, dim) float64
-        Unknowns [length]; not to be changed while the state is in use.
+        Unknowns [length]; must not change while the state is in use.
     clock : Clock
         Load parameter and physical time.
     u_local : (n_local, dim) float64, optional
-        Displacements with ghosts, where they are known [length].
+        Displacements with ghosts, if known [length].
     """
 
     def __init__(self, body: Body, u: Float, clock: Clock = START, u_local: Float | None = None) -> None:
         self.body = body
         self.u = u
         self._clock = clock
-        # The stress-free deformation, None for a body that does not expand.
+        # Stress-free deformation; None for a body without expansion.
         self.expansion = None if body.expansion is None else body.expansion.at(clock.load)
         self._u_local = u_local
         self._kept: dict[Hashable, Any] = {}
@@ -51,7 +51,7 @@ class State:
 
     @property
     def temperature(self) -> Float | None:
-        """Return the temperature of the own particles (n_owned,), None in a body without."""
+        """Return the temperature of the own particles (n_owned,); None for a body without temperature."""
         return None if self.expansion is None else self.expansion.temperature
 
     @property
@@ -67,9 +67,9 @@ class State:
         return self._u_local
 
     def elongated(self, finite: bool) -> tuple[Float, float]:
-        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length].
+        """Return the elongations (n_bonds,) and the smallest current length of a bond on this rank [length].
 
-        Of a body that expands they are those beyond what its bonds have without force (collective).
+        For a body that expands, the force-free elongations are subtracted (collective).
         """
         u_local, expansion = self.u_local, self.expansion
 
@@ -80,13 +80,13 @@ class State:
         return self.kept(("elongation", finite), make)
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what was kept under ``key``, or make and keep it."""
+        """Return the value cached under ``key``; compute it with ``make`` on first use."""
         if key not in self._kept:
             self._kept[key] = make()
         value: T = self._kept[key]
         return value
 
     def forget(self) -> None:
-        """Free what is kept, which would be computed again."""
+        """Free the cached quantities; they are computed again on demand."""
         self._u_local = None
         self._kept.clear()

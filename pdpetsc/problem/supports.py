@@ -18,13 +18,13 @@ from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.prescribed import Prescribed
 from pdpetsc.problem.ties import Combination, Ties
 
-# A family is cut in a direction where its first moment is more than this share of what one side alone would have.
+# A family is cut in a direction if its first moment exceeds this share of that of a one-sided family.
 ONE_SIDED = 0.9
 
 
 @dataclass(frozen=True)
 class _Held:
-    """One component of a displacement on the particles ``where``."""
+    """Store one prescribed component of the displacement of the particles ``where``."""
 
     name: str
     condition: Displacement
@@ -34,25 +34,25 @@ class _Held:
 
 
 class Supports:
-    """Constraints ``u = C q + g(t)`` of the unknowns ``u`` by independent ones ``q``, on this rank.
+    """Express the unknowns ``u = C q + g(t)`` by independent ones ``q``, on this rank.
 
-    A prescribed component has the value g. A tied component is ``sum_m c_sm u_m + g``. Every other component is
-    independent. Solvers keep vectors of the size of u, in which the entries of prescribed and tied components are not
-    used; residuals are ``C^T r`` and tangents ``C^T K C`` with 1 on the diagonal of those components.
+    A prescribed component has the value g. A tied component is ``sum_m c_sm u_m + g``. All other components are
+    independent. Vectors of solvers have the size of u; their entries for prescribed and tied components are not used.
+    Residuals are ``C^T r``, and tangents ``C^T K C`` with 1 on the diagonal of those components.
 
     Parameters
     ----------
     body : Body
-        Whose unknowns they are.
+        The body.
     cell : CellRows, optional
-        The virtual unknowns of a periodic cell.
+        Virtual unknowns of a periodic cell.
 
     Attributes
     ----------
     fixed : (n_rows, dim) bool
         Prescribed and tied degrees of freedom.
     given : Prescribed
-        Which conditions prescribe them.
+        Conditions that prescribe the degrees of freedom.
 
     Notes
     -----
@@ -68,7 +68,7 @@ class Supports:
         self._strains: list[tuple[MeanStrain, int, float]] = []
         self._combinations: list[tuple[Combination, Callable[[float], Float]]] = []
         if cell is not None and cell.here:
-            # Entries of the virtual rows that stand for no component.
+            # Entries of the virtual rows without a component.
             cell.rows(self.fixed)[len(cell.sizes) :] = True
 
     def prescribe(
@@ -76,7 +76,7 @@ class Supports:
     ) -> None:
         """Prescribe components of the displacement of some own particles.
 
-        Particles may have several conditions that agree; ``prescribed`` compares their values.
+        Several agreeing conditions may hold the same particles; ``prescribed`` compares their values.
 
         Raises
         ------
@@ -107,16 +107,16 @@ class Supports:
         Parameters
         ----------
         combination : Combination
-            The components of own particles, and what they depend on.
+            Tied components of own particles, with the components that they depend on.
         values : callable
             ``g_s`` at a load parameter (n,) [length].
         name : str
-            The condition, for messages.
+            Name of the condition, for messages.
 
         Raises
         ------
         CaseError
-            A component is prescribed or tied already, or depends on one that is tied.
+            A component is prescribed or tied already, or depends on a tied component.
         """
         cloud, where = self.body.cloud, (combination.particle, combination.axis)
         entries = combination.particle.astype(np.int64) * cloud.dim + combination.axis
@@ -135,7 +135,7 @@ class Supports:
 
     @cached_property
     def ties(self) -> Ties | None:
-        """Return the tied components of the body, None without any."""
+        """Return the tied components of the body; None if there are none."""
         if not self._combinations:
             return None
         return Ties(self.body.cloud, [combination for combination, _ in self._combinations])
@@ -146,9 +146,9 @@ class Supports:
         return self.fixed if self.ties is None else self.fixed | self.ties.independent
 
     def completed(self, u: Float, g: Float | float = 0.0) -> Float:
-        """Return ``C q + g`` (n_rows, dim) [length] for the independent entries of ``u`` (n_rows, dim).
+        """Compute ``C q + g`` (n_rows, dim) [length] for the independent entries of ``u`` (n_rows, dim).
 
-        Without ``g`` it is the change that belongs to a change ``u`` of the independent entries.
+        Without ``g`` the result is the change that belongs to a change ``u`` of the independent entries.
         """
         values = np.where(self.fixed, g, u)
         if self.ties is not None:
@@ -156,7 +156,7 @@ class Supports:
         return values
 
     def reduced(self, f: Float) -> Float:
-        """Return ``C^T f`` (n_rows, dim) [force], 0 for prescribed and tied components."""
+        """Compute ``C^T f`` (n_rows, dim) [force], 0 for prescribed and tied components."""
         values = np.where(self.fixed, 0.0, f)
         if self.ties is not None:
             n = self.body.cloud.n_owned
@@ -165,10 +165,11 @@ class Supports:
         return values
 
     def lumped_mass(self, mass: Float) -> Float:
-        """Return masses of the independent unknowns (n_rows,) from those of all unknowns (n_rows,).
+        """Compute masses of the independent unknowns (n_rows,) from those of all unknowns (n_rows,).
 
-        They are the row sums of ``|C|^T M |C|``, the largest of a particle. No motion that satisfies the constraints
-        has more kinetic energy with M than with them: a time step that is stable for M is stable for them.
+        They are the row sums of ``|C|^T M |C|``, the largest of each particle. For every motion that satisfies the
+        constraints, the kinetic energy is at most that with these masses. A time step that is stable for M is therefore
+        stable for them.
         """
         if self.ties is None:
             return mass
@@ -177,7 +178,7 @@ class Supports:
         return np.asarray(lumped.max(axis=1))
 
     def violation(self, modes: Float) -> Float:
-        """Return how far displacements (n_owned, dim) violate constraints [length], 0 for independent components."""
+        """Compute the violation of constraints by displacements (n_owned, dim) [length], 0 for free components."""
         u = np.zeros(self.fixed.shape)
         u[: len(modes)] = modes
         violated = np.where(self.fixed, u, 0.0)
@@ -186,7 +187,7 @@ class Supports:
         return violated[: len(modes)]
 
     def prescribed(self, t: float) -> Float:
-        """Return ``g`` at step time ``t`` (n_rows, dim) [length], 0 where independent.
+        """Compute ``g`` at load parameter ``t`` (n_rows, dim) [length], 0 for independent components.
 
         Raises
         ------
@@ -212,7 +213,7 @@ class Supports:
         return u
 
     def held_by_condition(self) -> list[tuple[str, str, int]]:
-        """Return the name of every displacement, the components that it prescribes, and of how many particles."""
+        """Return name, prescribed components and number of particles of every displacement condition."""
         found: dict[str, tuple[str, int]] = {}
         for held in self._held:
             axes, _ = found.get(held.name, ("", 0))
@@ -222,10 +223,10 @@ class Supports:
         return [(name, axes, int(count)) for (name, (axes, _)), count in zip(found.items(), counts, strict=True)]
 
     def held_at_cut_families(self) -> int:
-        """Return how many particles are held in the direction in which their family is cut, beside ones that are free.
+        """Count the particles held in the direction in which their family is cut, next to free particles.
 
-        There the gradient weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the
-        stress of the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
+        The gradient weights of such particles violate the divergence theorem: uniform stress is not in equilibrium. The
+        stress of the outermost layer is then 2/3 of the exact one at the smallest horizon, for any spacing.
         """
         cloud, families, lattice = self.body.cloud, self.body.families, self.body.families.lattice
         n, dim = cloud.n_owned, cloud.dim
@@ -246,7 +247,7 @@ class Supports:
 
 
 def _one_sided(indptr: GlobalIndex, neighbours: LocalIndex, x: Float, volume: Float) -> Mask:
-    """Return along which axes families lie on one side of their centre (n, dim)."""
+    """Return the axes along which families lie on one side of their centre (n, dim)."""
     moment = np.empty((len(indptr) - 1, x.shape[1]))
     size = np.empty_like(moment)
     first_moments(indptr, neighbours, x, volume, moment, size)

@@ -1,4 +1,4 @@
-"""What adds forces to a body."""
+"""Base classes of terms, the sources of forces."""
 
 from __future__ import annotations
 
@@ -21,22 +21,21 @@ from pdpetsc.renamed import warn
 
 @dataclass(frozen=True)
 class KeptArray:
-    """An array that a continued run needs.
+    """Store an array that a restart needs.
 
     Attributes
     ----------
     owner : (n,) int
-        The own particle of each row, ascending: a particle may have one row, several (one of each of its gradient
-        points) or none.
+        Own particle of each row, ascending. A particle may have no row, one row, or several (one per gradient point).
     values : (n, ...) float64
-        Written and, when a run goes on, overwritten in place: the array that the term reads, not a copy.
+        The array that the term reads, not a copy. A checkpoint stores it; a restart overwrites it in place.
     low, high : float
-        A checkpoint with values below or above is refused.
+        Admissible range. A checkpoint with other values is refused.
 
     Raises
     ------
     CaseError
-        There is not one row of float64 for each owner, or the owners do not ascend.
+        The number of rows differs from the number of owners, the type is not float64, or the owners do not ascend.
     """
 
     owner: LocalIndex
@@ -55,37 +54,39 @@ class KeptArray:
 
 
 class Term(ABC):
-    """Something that adds forces to the residual ``sum of internal forces - sum of loads``.
+    """Add forces to the residual ``sum of internal forces - sum of loads``.
 
-    A term adds what it contributes to the residual: an internal force with its sign, a load with the opposite one.
-    Derive from it, give the forces and their tangent, and let a declared ``ExtraTerm`` make it.
+    A term adds its contribution to the residual: an internal force with its sign, a load with the opposite sign. To
+    write a term, derive from this class, implement the forces and their tangent, and declare an ``ExtraTerm`` that
+    builds it.
 
     Attributes
     ----------
     linear : bool
-        Whether its forces are linear in the unknowns, with a tangent that does not change with the step time; for terms
-        of bonds that fail, as long as none does.
+        Whether the forces are linear in the unknowns, with a tangent that does not depend on the load parameter. For
+        terms of bonds that fail: as long as no bond fails.
     symmetric : bool
-        Whether its tangent is symmetric.
+        Whether the tangent is symmetric.
     load : bool
-        Whether it is a load: the residual is compared with loads and reactions. A foundation is not a load. For path
-        following and the event-driven solver loads must be dead and proportional to the step time.
+        Whether the term is a load. The residual is compared with loads and reactions. A foundation is not a load. Path
+        following and the event-driven solver require dead loads proportional to the load parameter.
     of_solver : bool
-        Whether it only helps a solver to converge; outputs leave it out.
+        Whether the term only helps a solver to converge. Outputs do not contain it.
     horizons : int
-        Over how many horizons it couples particles: 0 for each with itself alone, 1 for the two ends of a bond, 2 for
-        members of one family.
+        Number of horizons over which the term couples particles: 0 for each particle with itself, 1 for the two ends of
+        a bond, 2 for members of one family.
     energy_of : str
-        Under which name its energy is summed; that of the material is ``"strain"``, that of a control ``"control"``.
+        Name under which the energy is summed. The energy of the material is ``"strain"``, that of a control
+        ``"control"``.
     constrained : bool
-        Whether its tangents have a ``Product.constraint``.
+        Whether the tangents have a ``Product.constraint``.
     version : int
-        Grows whenever its forces or its tangent at the same unknowns and step time change, as when ``commit`` moves
-        what it remembers.
+        Increases if the forces or the tangent at the same unknowns and load parameter change, for example if ``commit``
+        updates history variables.
 
     Notes
     -----
-    Every method is collective but where it says otherwise. Attributes, ``has_history`` and the names in ``arrays`` are
+    Every method is collective unless stated otherwise. Attributes, ``has_history`` and the names in ``arrays`` are
     the same on all ranks.
     """
 
@@ -109,82 +110,85 @@ class Term(ABC):
 
     @property
     def parts(self) -> list[str]:
-        """Return what it is made of, for the record (not collective)."""
+        """Return the names of the parts of the term, for the run record (not collective)."""
         return [type(self).__name__]
 
     @property
     def grounded(self) -> Mask | None:
-        """Return which displacements of the own particles it ties to the ground (n_owned, dim), as supports do.
+        """Return which displacements of the own particles the term ties to the ground (n_owned, dim), as supports do.
 
-        None where it ties none (not collective).
+        None if it ties none (not collective).
         """
         return None
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, step time and sum of the forces (dim,) of the loads in it, for the record (not collective)."""
+        """Return name, load parameter and total force (dim,) of each load, for the run record (not collective)."""
         return []
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
-        """Return what it couples as ``(point_ptr, members)``, None for each particle with itself (not collective)."""
+        """Return the stencils as ``(point_ptr, members)``; None if each particle couples with itself only.
+
+        Not collective.
+        """
         return None
 
     @property
     def within_families(self) -> bool:
-        """Return whether all members of a stencil are in one family (not collective).
+        """Return True if all members of each stencil are in one family (not collective).
 
-        The sparsity then needs no entries for it where another term couples families whole.
+        The sparsity needs no entries for such a term if another term couples whole families.
         """
         return True
 
     @property
     def whole_families(self) -> bool:
-        """Return whether it couples all members of a family with each other (not collective).
+        """Return True if the term couples all members of a family with each other (not collective).
 
         The sparsity is then that of whole families.
         """
         return False
 
     def admissible(self, state: State) -> bool:
-        """Return whether its forces are defined on this rank; ghosts are exchanged."""
+        """Return True if the forces are defined on this rank; ghosts are exchanged."""
         return True
 
     def add_force(self, state: State, f: Float) -> None:  # noqa: B027
-        """Add forces on local particles, ghosts among them (n_local, dim) [force] (not collective but for ghosts)."""
+        """Add forces to local particles, ghosts included (n_local, dim) [force] (not collective except for ghosts)."""
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Add its forces and those of another term in one loop, if that is quicker; return whether it did.
+        """Add the forces of this and another term in one loop, if that is faster. Return True if the forces were added.
 
         Arguments as for ``add_force``.
         """
         return False
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
-        """Return what its forces take in the loop over ``operator`` at a state, where it is a control on its gradient.
+        """Return the data of a control on the gradient of ``operator`` at a state, for a loop shared with the material.
 
-        None where it is not (not collective).
+        None if the term is no such control (not collective).
         """
         return None
 
     def add_row_force(self, state: State, r: Float) -> None:  # noqa: B027
-        """Add forces on the unknowns of this rank (n_rows, dim) [force]: what needs no ghosts (not collective)."""
+        """Add the forces that need no ghosts to the unknowns of this rank (n_rows, dim) [force] (not collective)."""
 
     @abstractmethod
     def linearise(self, state: State) -> Sequence[Product]:
-        """Return its tangent at a state, a list of what it is the sum of; empty if it has none."""
+        """Return the tangent at a state as a list of summands; empty if the tangent is zero."""
 
     def energy(self, state: State) -> float:
-        """Return its energy on this rank [energy]."""
+        """Return the energy on this rank [energy]."""
         return 0.0
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return True if its forces are linear in the unknowns as long as no bond loses force (not collective)."""
+        """Return True if the forces are linear in the unknowns as long as no bond loses force (not collective)."""
         return self.linear
 
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
-        """Follow bonds that have lost or regained force, and if ``rebuild`` bonds that have broken or mended."""
+        """Update after bonds have lost or regained force; if ``rebuild``, after bonds have broken or mended."""
 
     def before_commit(self, state: State) -> None:  # noqa: B027
         """Read a converged state before any term updates its history."""
@@ -194,13 +198,13 @@ class Term(ABC):
 
     @property
     def has_history(self) -> bool:
-        """Return whether its forces depend on converged steps; the same on all ranks (not collective)."""
+        """Return True if the forces depend on converged steps; the same on all ranks (not collective)."""
         return False
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
-        """Return numbers for the history by column name: functions of a state that return the part of this rank.
+        """Return numbers for the history by column name: functions of a state that return the share of this rank.
 
-        The history has their sums over the ranks (not collective).
+        The history contains their sums over the ranks (not collective).
         """
         return {}
 
@@ -212,22 +216,22 @@ class Term(ABC):
         return {}
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return what a continued run needs besides the unknowns, by names of its own (not collective)."""
+        """Return the arrays that a restart needs besides the unknowns, by name within the term (not collective)."""
         return {}
 
     def restored(self) -> None:
-        """Follow its arrays, which have been read from a checkpoint (not collective)."""
+        """Update after the arrays have been read from a checkpoint (not collective)."""
         self.version += 1
 
 
 @dataclass(frozen=True)
 class ExtraTerm(Declared, ABC):
-    """A term as a case declares it, besides material, control and conditions.
+    """Declare a term of a case besides material, control and conditions.
 
     Attributes
     ----------
     on_surface : bool
-        Whether it needs the facets of the surface, ``body.surface``.
+        Whether the term needs the facets of the surface, ``body.surface``.
 
     Examples
     --------
@@ -245,4 +249,4 @@ class ExtraTerm(Declared, ABC):
 
     @abstractmethod
     def build(self, body: Body) -> Term:
-        """Return the term of a body (collective)."""
+        """Build the term for a body (collective)."""

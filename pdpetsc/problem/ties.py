@@ -14,7 +14,7 @@ from pdpetsc.discrete.halo import Halo
 
 @dataclass(frozen=True)
 class Combination:
-    """Tied displacement components of own particles, ``u_s = sum_m c_sm u_m + g_s(t)``.
+    """Store tied displacement components of own particles, ``u_s = sum_m c_sm u_m + g_s(t)``.
 
     Attributes
     ----------
@@ -39,23 +39,23 @@ class Combination:
 
 
 class Ties:
-    """All tied displacements of a body.
+    """Store all tied displacements of a body.
 
     Parameters
     ----------
     cloud : Cloud
         The particles.
     parts : sequence of Combination
-        Those of each condition on this rank.
+        Combinations of each condition on this rank.
 
     Attributes
     ----------
     all : Combination
-        All of them.
+        All combinations.
     tied : (n_rows, dim) bool
         Components that are tied.
     independent : (n_rows, dim) bool
-        Components that a tied one depends on, on any rank.
+        Components that a tied component depends on, on any rank.
 
     Notes
     -----
@@ -86,7 +86,7 @@ class Ties:
         self.independent[: cloud.n_owned] = terms > 0.0
 
     def sums(self, u: Float) -> Float:
-        """Return ``sum_m c_sm u_m`` (n,) for unknowns ``u`` (n_rows, dim) [length]."""
+        """Compute ``sum_m c_sm u_m`` (n,) for unknowns ``u`` (n_rows, dim) [length]."""
         return np.asarray(np.bincount(self._sum_of, self.all.coefficient * self.of_terms(u), len(self.all.axis)), float)
 
     def of_terms(self, u: Float) -> Float:
@@ -98,13 +98,13 @@ class Ties:
         return np.asarray(local[n + self._place, self.all.of_axis])
 
     def lumped_mass(self, mass: Float) -> Float:
-        """Return the mass that tied components add to independent ones (n_owned, dim), from all masses (n_rows,)."""
+        """Compute the mass that tied components add to independent ones (n_owned, dim), from all masses (n_rows,)."""
         size = np.abs(self.all.coefficient)
         sums = np.bincount(self._sum_of, size, len(self.all.axis))
         return self.forces_on_independent(mass[self.all.particle] * sums, size)
 
     def forces_on_independent(self, forces: Float, coefficient: Float | None = None) -> Float:
-        """Return the forces on independent components (n_owned, dim) from those on tied ones (n,) [force]."""
+        """Compute the forces on independent components (n_owned, dim) from those on tied ones (n,) [force]."""
         n = self._cloud.n_owned
         local = np.zeros((n + self._halo.n_ghost, self._cloud.dim))
         coefficient = self.all.coefficient if coefficient is None else coefficient

@@ -1,1 +1,1 @@
-"""Running a case: building its problem, marching, keeping records, and ending in order whatever happens."""
+"""Running a case: build its problem, solve the load steps, write the record, and end in order after errors."""

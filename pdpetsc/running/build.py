@@ -1,4 +1,4 @@
-"""From a case to its distributed model."""
+"""Construction of the distributed problem of a case."""
 
 from __future__ import annotations
 
@@ -72,18 +72,18 @@ from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.mean_dilatation import material_points
 from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
-# Bonds are not listed where at least this share of the particles share one family.
+# Bonds are not listed if at least this share of the particles has the same family.
 LEAST_REPEATED = 0.3
-# Least memory of a particle that shares its family: gradient, stress and moduli [bytes].
+# Smallest memory of a particle with a shared family: gradient, stress and moduli [bytes].
 PER_REPEATED = 800.0
 # Sides of a lattice of unit spacing with families that repeat at a horizon of two spacings.
 ENOUGH_TO_REPEAT = [30.0, 7.0, 7.0]
-# Positions and horizons beyond these overflow where they are raised to powers.
+# Powers of positions and horizons beyond these overflow.
 FAR = 1e60
 
 
 def make_chunk(comm: Comm, case: Case) -> Chunk:
-    """Create this rank's part of the particles (collective); raises CaseError where they are wrong."""
+    """Create the particles of this rank (collective); raise CaseError if they are wrong."""
     refuse_beyond_memory(comm, case.particles.estimate() / comm.size * PER_PARTICLE, "Making the particles")
     with agreed(comm):
         chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
@@ -94,7 +94,7 @@ def make_chunk(comm: Comm, case: Case) -> Chunk:
 
 
 def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float | None = None) -> Cloud:
-    """Distribute the particles of a case, those of ``make_chunk`` (collective); raises CaseError if it cannot.
+    """Distribute the particles of a case, by default those of ``make_chunk`` (collective); raise CaseError on failure.
 
     Boxes of ``MeanDilatation`` along ``axes`` (dim, dim), by default those of space, stay on one rank each.
     """
@@ -104,7 +104,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     with agreed(comm):
         reach = horizons_of(case.chosen_horizon, chunk, first, count, case.particles.thickness)
     _refuse_large_families(comm, case, chunk.x, reach, count)
-    # A bond is one thing with two ends, of which a gradient reads one.
+    # Bonds belong to both ends, gradients to one end.
     mutual = case.of_bonds
     patches = None if case.of_bonds else case.gradients.patches
     along = chunk.x if axes is None else chunk.x @ axes.T
@@ -119,7 +119,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
 
 
 def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Float, count: int) -> None:
-    """Raise on all ranks where families are so large that they cannot be held (collective)."""
+    """Raise CaseError on all ranks if families do not fit in memory (collective)."""
     bonds = predicted_bonds(comm, x, reach, case.cell, case.symmetry)
     family, dim = bonds / count, x.shape[1]
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
@@ -132,9 +132,9 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Floa
 
 
 def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> float:
-    """Return about the share of particles that do not share a family: 1 where none does (collective).
+    """Estimate the share of particles without a shared family: 1 if none has one (collective).
 
-    On a lattice these are the ones within a horizon of the ends of its longest axis.
+    On a lattice these are particles within a horizon of the ends of its longest axis.
     """
     on_lattice = np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
     if int(total(comm, int(not on_lattice))):
@@ -150,17 +150,17 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
 
 
 def make_families(case: Case, cloud: Cloud) -> Families:
-    """Return the families of a case; bonds are not listed where enough of them repeat (collective)."""
+    """Return the families of a case; bonds are not listed if enough families are equal (collective)."""
     with agreed(cloud.comm):
         repeated = repeated_share(case)
     return find_families(cloud, case.cracks, repeated, _in_order(case))
 
 
 def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Families) -> tuple[Cloud, Families]:
-    """Return cloud and families with every box of ``MeanDilatation`` on one rank (collective).
+    """Redistribute cloud and families so that every box of ``MeanDilatation`` is on one rank (collective).
 
-    The axes of the boxes follow from the families, so that particles are distributed a second time if the boxes are not
-    those along the axes of space.
+    The axes of the boxes follow from the families: particles are distributed a second time unless boxes are along the
+    coordinate axes.
     """
     patches, comm = None if case.of_bonds else case.gradients.patches, cloud.comm
     if patches is None or comm.size == 1:
@@ -174,7 +174,7 @@ def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Familie
 
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
-    """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
+    """Build the problem of a case on a distributed cloud, with the PETSc options of its run (collective)."""
     if int(total(cloud.comm, families.n_bonds)) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
@@ -188,7 +188,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
         try:
             surface = _surface(case, cloud, families)
         except CaseError as error:
-            if case.needs_surface:  # not by default only
+            if case.needs_surface:  # declared, not by default
                 raise
             weights = Unsuited(str(error))
     chosen = replace(case, weights=weights)
@@ -202,17 +202,17 @@ def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
     with agreed(cloud.comm):
         facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
     surface = surface_of(cloud, families, facets)
-    # Facets that a crack frees may have bonds beside its tip.
+    # Facets on crack faces may have bonds beside the tip.
     if case.chosen_weights.conform and not case.cracks:
         refuse_joined(cloud, families, surface, case.particles.thickness)
     return surface
 
 
 def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Filler] = Assembler) -> None:
-    """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
+    """Compile or load the kernels of a case on rank 0, with a lattice of a few particles; other ranks wait.
 
-    The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
-    nor write its cache at once. ``filling`` makes what fills the matrices.
+    The other ranks then load them from the cache, so that many ranks with an empty cache do not compile and write the
+    same kernels. ``filling`` creates the assembler of the matrices.
 
     Notes
     -----
@@ -228,7 +228,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
-                # The case's critical stretches are those of another body, its conditions and terms know that body only.
+                # Critical stretches, conditions and terms of the case do not fit the small body.
                 damage = None if case.damage is None else case.damage.rehearsed()
                 weights = case.chosen_weights
                 strained = [Eigenstrain(All(), xx=1e-3)] if case.expands else []
@@ -255,16 +255,16 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
 
 @dataclass(frozen=True)
 class OfParticles:
-    """The materials of a body, and which one each own particle has.
+    """The materials of a body, with the material of each owned particle.
 
     Attributes
     ----------
     materials : sequence of Material or BondMaterial
-        All of a body are of one kind.
+        Materials of a body are all of one kind.
     index : (n_owned,) int32
-        Number of the material of each own particle.
+        Material number of each owned particle.
     factor : (n_owned,) float64 or None
-        Factor of the moduli of each own particle, if a material is graded [-].
+        Factor of the moduli of each owned particle, if a material is graded [-].
     """
 
     materials: Sequence[Material | BondMaterial]
@@ -287,7 +287,7 @@ class OfParticles:
         return self.factor is not None or any(one != self.materials[0] for one in self.materials)
 
     def bond_stiffness(self, bonds: Neighbourhood, moduli: Sequence[float]) -> Float:
-        """Return the stiffness that bonds would have with these Young's moduli alone (n_bonds,) (collective)."""
+        """Return the stiffness of bonds for one Young's modulus per material (n_bonds,) (collective)."""
         alike = [
             BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, self.materials, strict=True)
         ]
@@ -330,7 +330,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     problem = Problem(body, material_term, terms, supports, damage, case.duration)
     for one in conduction:
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
-    if damage is not None and damage.of_bonds is not None:  # points that have failed keep a residual stiffness
+    if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem
@@ -341,7 +341,7 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     with agreed(cloud.comm):
         s = length / cloud.local_horizon[families.centres]
-        # Of bonds that only their second end reaches this one has no share.
+        # Bonds within the local horizon of their second end only have no share in the first.
         reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
         omega = np.zeros(len(s))
         omega[reached] = evaluate(case.influence, s[reached])
@@ -349,17 +349,17 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
 
 
 def repeated_share(case: Case) -> float | None:
-    """Return the least share of particles whose families must repeat for bonds not to be listed; None for never.
+    """Return the smallest share of equal families for which bonds are not listed; None for never.
 
-    Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
-    than the family, controls that do not follow kappa, and bonds of several materials.
+    Never for data that differ between particles: failing bonds, weights of the whole body, schemes that use more than
+    the family, controls that do not scale with kappa, and bonds of several materials.
     """
     if case.heat is not None or (case.damage is not None and not case.damage.point_laws):
         return None
     if case.of_bonds:
-        if case.expands:  # every bond has a length without force of its own
+        if case.expands:  # every bond has its own force-free length
             return None
-        # Bonds of one material with the same moduli everywhere.
+        # Bonds of one material with uniform moduli.
         if len(case.materials) > 1 or grading_of(case.materials[0][1]) is not None:
             return None
         return LEAST_REPEATED if cast(BondMaterial, ungraded(case.materials[0][1])).of_family else None
@@ -370,17 +370,17 @@ def repeated_share(case: Case) -> float | None:
 
 
 def control_of(case: Case) -> ZeroEnergyControl | None:
-    """Return the control of a case: one that follows what yields only where a material has a history."""
+    """Return the control of a case; tangent-scaled only if a material has a history."""
     if case.control is None or any(law.has_history for law in case.laws):
         return case.control
     return case.control.elastic
 
 
 def _in_order(case: Case) -> bool:
-    """Return whether particles share a family only where they list its members in the same order.
+    """Return True if shared families require the same order of members.
 
-    Points of bonds are in the order of the bonds, and the history of a point is kept by its place among those of its
-    particle: a run that goes on, on any rank count, must find it there.
+    Gradient points of bonds are in the order of the bonds, and histories are stored by the index of a point in its
+    particle. A restart on any number of ranks requires the same order.
     """
     if case.of_bonds or not case.gradients.points_of_bonds:
         return False
@@ -390,9 +390,9 @@ def _in_order(case: Case) -> bool:
 def _repeated_points(
     case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
 ) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
-    """Return the terms of a body with deformation gradients most of whose families repeat (collective).
+    """Return the terms of a body with deformation gradients and mostly equal families (collective).
 
-    Scheme and control see the other particles alone, and one of those whose family repeats.
+    Scheme and control are built for the irregular particles, and for one particle with the shared family.
     """
     irregular = lattice.irregular
     families = Families(irregular.indptr, irregular.neighbours)
@@ -414,7 +414,7 @@ def _repeated_points(
 def _repeated_bonds(
     case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
 ) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
-    """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
+    """Return the terms of a body with forces along bonds and mostly equal families (collective)."""
     irregular = lattice.irregular
     families = Families(irregular.indptr, irregular.neighbours)
     bonds, first = _neighbourhood(case, irregular.cloud, families), np.zeros(irregular.cloud.n_owned, dtype=np.int32)
@@ -425,14 +425,14 @@ def _repeated_bonds(
 def _bonds(
     case: Case, body: Body, bonds: Neighbourhood, materials: OfParticles
 ) -> tuple[MaterialTerm, list[Term], Damage | None]:
-    """Return the terms of a body whose forces act along bonds (collective)."""
+    """Return the terms of a body with forces along bonds (collective)."""
     material_term = BondForces(body, bonds, materials.of_bonds, materials.index, materials.factor)
     if case.damage is None:
         return material_term, [], None
     k = material_term.k
-    if material_term.a is not None:  # what a bond stores depends on the others of its family
+    if material_term.a is not None:  # the energy of a bond depends on its family
         k = materials.bond_stiffness(bonds, [one.E for one in materials.of_bonds])
-    declared = cast(BondDamage | DamageOf, case.damage)  # the case refuses others
+    declared = cast(BondDamage | DamageOf, case.damage)  # other materials are refused
     damage = _failing(declared, body, bonds, k, material_term.finite, materials)
     material_term.take_damage(damage)
     return material_term, [], damage
@@ -459,7 +459,7 @@ def _points(
     if case.damage is None or case.damage.point_laws:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
         return _terms_of_points(case, body, operator, controlled, materials)
-    # Materials that have one modulus per direction have no stiffness of bonds, and finding it takes long.
+    # Materials with one modulus per direction have no stiffness of bonds, and computing it takes long.
     reads = any(law.criterion.reads_stiffness for law in case.damage_laws)
     k = materials.bond_stiffness(bonds, [one.young_modulus() for one in laws]) if reads else None
     declared = cast(BondDamage | DamageOf, case.damage)
@@ -476,7 +476,7 @@ def _terms_of_points(
     case: Case, body: Body, operator: GradientOperator, controlled: Callable[[ZeroEnergyControl, Stiffness], Control],
     materials: OfParticles,
 ) -> tuple[MaterialTerm, list[Term], DamageModel | None]:  # fmt: skip
-    """Return the terms of a body with gradients that stay as they are, whose points may fail (collective).
+    """Return the terms of a body with constant gradient weights, whose points may fail (collective).
 
     ``controlled`` builds a control for the stiffness of the body.
     """
@@ -504,7 +504,7 @@ def _failing(
     declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float | None, finite: bool,
     materials: OfParticles,
 ) -> Damage:  # fmt: skip
-    """Return the damage of bonds of stiffness ``k`` (n_bonds,); raises CaseError if it is for one material only.
+    """Return the damage of bonds with stiffness ``k`` (n_bonds,); raise CaseError if the law requires one material.
 
     Collective.
     """
@@ -530,7 +530,7 @@ def _marking(body: Body) -> Marking:
 
 
 def materials_of(case: Case, cloud: Cloud) -> OfParticles:
-    """Return the materials of a case, and which one each own particle has (collective)."""
+    """Return the materials of a case, with the material of each owned particle (collective)."""
     count = np.zeros(cloud.n_owned, dtype=np.int32)
     index = np.zeros(cloud.n_owned, dtype=np.int32)
     factor = np.ones(cloud.n_owned)
@@ -540,7 +540,7 @@ def materials_of(case: Case, cloud: Cloud) -> OfParticles:
         count += mask
         index[mask] = number
         with agreed(cloud.comm):
-            # A function of positions need not know what to make of none.
+            # Functions of positions may not support empty arrays.
             grading = grading_of(material)
             if grading is not None and mask.any():
                 factor[mask] = _factors(grading, x[mask])
@@ -554,7 +554,7 @@ def materials_of(case: Case, cloud: Cloud) -> OfParticles:
 
 
 def grading_of(material: AnyMaterial) -> Graded | None:
-    """Return the grading of a declared material; None for a material that is the same everywhere."""
+    """Return the grading of a declared material; None for a uniform material."""
     found = isothermal(material)
     return found if isinstance(found, Graded) else None
 

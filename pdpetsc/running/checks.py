@@ -1,4 +1,4 @@
-"""Comparing the results of a run with what its case expects."""
+"""Comparison of the results of a run with the expected results of its case."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from pdpetsc.output.tables import aligned, text_of
 
 @dataclass(frozen=True)
 class Check:
-    """One result beside what was expected.
+    """One result with its expected value.
 
     Attributes
     ----------
     name : str
-        Of the result.
+        Name of the result.
     expected : Expected
-        What it should be.
+        The expected result.
     got : float
-        What it is; nan where the run has no such result.
+        Value of the result; nan if the run does not have it.
     known : tuple of str
         The names of the results of the run.
     """
@@ -37,12 +37,12 @@ class Check:
 
     @property
     def ok(self) -> bool:
-        """Return True if the result is what was expected."""
+        """Return True if the result is as expected."""
         return self.expected.holds(self.got)
 
     @property
     def difference(self) -> float:
-        """Return the result less the expected value, in its unit."""
+        """Return the result minus the expected value, in the unit of the result."""
         return self.got - self.expected.value
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Check:
 
 
 def refuse_unchecked(expect: Mapping[str, Expected]) -> None:
-    """Raise CaseError where a case expects nothing, so that checking it could not fail."""
+    """Raise CaseError if a case has no expected results."""
     if not expect:
         raise CaseError(
             "There is nothing to check: the case expects nothing, or not with these parameters; give it "
@@ -66,13 +66,13 @@ def refuse_unchecked(expect: Mapping[str, Expected]) -> None:
 
 
 def compared(expect: Mapping[str, Expected], results: Mapping[str, float]) -> list[Check]:
-    """Return every expected result beside what it is, in the order of the case."""
+    """Return a check of every expected result, in the order of the case."""
     known = tuple(results)
     return [Check(name, one, float(results.get(name, math.nan)), known) for name, one in expect.items()]
 
 
 def failure(checks: Sequence[Check]) -> CheckError | None:
-    """Return the error of checks that do not hold, None where all do."""
+    """Return the error for failed checks; None if all hold."""
     failed = [check for check in checks if not check.ok]
     if not failed:
         return None
@@ -80,7 +80,7 @@ def failure(checks: Sequence[Check]) -> CheckError | None:
 
 
 def lines(checks: Sequence[Check]) -> list[str]:
-    """Return a table of checks for people, a line each below its header."""
+    """Return a readable table of checks, one line each below a header."""
     rows: list[tuple[str, ...]] = [("check", "expected", "got", "difference", "tolerance", "", "source")]
     for check in checks:
         numbers = (check.expected.value, check.got, check.difference, check.expected.tolerance)
@@ -89,7 +89,7 @@ def lines(checks: Sequence[Check]) -> list[str]:
 
 
 def recorded(checks: Sequence[Check]) -> list[dict[str, Any]]:
-    """Return checks as ``summary.json`` has them."""
+    """Return checks as entries of ``summary.json``."""
     return [
         {
             "result": check.name, **dataclasses.asdict(check.expected), "got": check.got,
@@ -100,12 +100,12 @@ def recorded(checks: Sequence[Check]) -> list[dict[str, Any]]:
 
 
 def expected_of(summary: Mapping[str, Any]) -> dict[str, Expected]:
-    """Return what a run that was checked expected, from its summary.
+    """Return the expected results of a checked run from its summary.
 
     Raises
     ------
     CaseError
-        Something else stands there.
+        The entries are no expected results.
     """
     try:
         return {

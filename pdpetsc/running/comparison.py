@@ -1,4 +1,4 @@
-"""Runs beside each other: a table, their histories in one figure, their fields at the same points."""
+"""Comparison of runs: a table, their histories in one figure, differences of fields at the same points."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pdpetsc.output.labels import Labels
 from pdpetsc.output.tables import aligned, cell, table_html, text_of
 from pdpetsc.running.result import Result, open_run, optional_module
 
-# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
+# Phases in the time of a run: without the start of Python, the compilation of kernels and the output.
 PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
-# Results that are drawn against the time they take.
+# Results that are drawn against time.
 ERRORS = ("error", "w_error", "max_F_error")
 
 
 class Ran(Protocol):
-    """A run as the figure reads it: what tells it from the others, its named results, and its seconds."""
+    """A run in the figure: its parameters, named results and seconds."""
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """Return what tells it from the others."""
+        """Return its parameters that differ from other runs."""
 
     @property
     def results(self) -> Mapping[str, float]:
@@ -57,10 +57,9 @@ def columns_of(
     first: Mapping[str, list[Any]], parameters: Sequence[Mapping[str, Any]], results: Sequence[Mapping[str, float]],
     last: Mapping[str, list[Any]],
 ) -> dict[str, list[Any]]:  # fmt: skip
-    """Return a table of runs by columns: the first, parameters, results (None where a run has none), the last.
+    """Return a table of runs by columns: the first, parameters, results (None if missing), the last.
 
-    A parameter that is named as another column has `` (parameter)`` after its name, a result `` (result)``, so that
-    nothing takes the column of another.
+    Parameters named as another column get the suffix `` (parameter)``, results `` (result)``.
     """
     columns = dict(first)
     for kind, each in (("parameter", parameters), ("result", results)):
@@ -70,19 +69,19 @@ def columns_of(
 
 
 def _unused(name: str, kind: str, taken: Sequence[str]) -> str:
-    """Return a name for a column that no other has."""
+    """Return a unique name for a column."""
     while name in taken:
         name = f"{name} ({kind})"
     return name
 
 
 def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> Any:
-    """Return a figure of every result against a parameter, and of error against seconds where there is an error.
+    """Return a figure of every result against a parameter, and of errors against seconds.
 
     Parameters
     ----------
     along : str or None
-        A parameter that is a number; the number of the run where None.
+        A numeric parameter; if None, the number of the run.
     """
     names = names_of_results(done)
     error = next((name for name in ERRORS if name in names), None)
@@ -113,7 +112,7 @@ def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> A
 
 
 class Comparison:
-    """Runs beside each other, as ``compare`` returns it.
+    """A comparison of runs, returned by ``compare``.
 
     Attributes
     ----------
@@ -136,14 +135,14 @@ class Comparison:
         self._labels = {name: Labels.of(run.summary) for name, run in self.runs.items()}
         units = {name: labels.units for name, labels in self._labels.items() if labels.units is not None}
         _refuse_apart("is in", {name: f"{one.length} and {one.force}" for name, one in units.items()})
-        # Runs without temperatures need not say what they would be in.
+        # Runs without temperatures may omit its unit.
         _refuse_apart("has temperatures in", {name: one.temperature for name, one in units.items() if one.temperature})
 
     @property
     def table(self) -> dict[str, list[Any]]:
-        """Return the table by columns: run, parameters that differ, results (None where a run has none), costs, status.
+        """Return the table by columns: run, parameters that differ, results (None if missing), costs, status.
 
-        A parameter that is named as another column has `` (parameter)`` after its name, a result `` (result)``.
+        Parameters named as another column get the suffix `` (parameter)``, results `` (result)``.
         """
         runs, missing = list(self.runs.values()), object()
         given = [dict(run.summary.get("parameters") or {}) for run in runs]
@@ -157,7 +156,7 @@ class Comparison:
         return columns_of({"run": list(self.runs)}, parameters, [run.results for run in runs], last)
 
     def frame(self) -> Any:
-        """Return the table as a pandas data frame, a row a run.
+        """Return the table as a pandas data frame, one row per run.
 
         Raises
         ------
@@ -181,27 +180,28 @@ class Comparison:
         return table_html(list(table), (list(map(cell, row)) for row in zip(*table.values(), strict=True)))
 
     def difference(self, field: str, t: float | None = None, points: Any = None) -> dict[str, Float]:
-        """Return a field of every run less that of the first one, at the same points.
+        """Return the difference between a field of every run and of the first run, at the same points.
 
         Parameters
         ----------
         field : str
             The field, as for ``Result.field``.
         t : float, optional
-            Step time [-]; the last one of each run by default, which has to be the same.
+            Load parameter [-]; by default the last one of each run, which must be equal.
         points : (m, d) array, optional
-            Where, as for ``Result.sample``; the particles of the first run by default.
+            Points, as for ``Result.sample``; by default the particles of the first run.
 
         Returns
         -------
         dict of str to (m, ...) float64
-            Of all runs but the first; nan at points outside of their bodies, or of that of the first.
+            Differences of all runs but the first; nan at points outside of one of both bodies.
 
         Raises
         ------
         CaseError
-            A run has no such field, or not at this step time, or at several steps with it, as where a path is
-            followed; or it is one of forces on particles, of other particles or at points.
+            A run does not have the field, not at this load parameter, or at several steps with this load factor, as
+            along a path; or the field has forces of particles, and the particles of the runs differ or ``points`` are
+            given.
         """
         names = list(self.runs)
         steps = {name: self._step(name, t) for name in names}
@@ -226,19 +226,19 @@ class Comparison:
         return {name: values[name] - values[names[0]] for name in names[1:]}
 
     def figure(self, y: str | None = None, x: str = "t") -> Any:
-        """Return a figure of the columns that all histories share, against one of them, a curve a run.
+        """Return a figure of the columns that all histories share, against one of them, one curve per run.
 
         Parameters
         ----------
         y : str, optional
-            One column only.
+            A single column.
         x : str
-            What they are drawn against.
+            Column of the horizontal axis.
 
         Raises
         ------
         CaseError
-            A history has no such column.
+            A history does not have the column.
         """
         histories = [run.history for run in self.runs.values()]
         shared = [name for name in histories[0] if all(name in history for history in histories)]
@@ -285,7 +285,7 @@ class Comparison:
 
 
 def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Path]) -> Comparison:
-    """Return runs beside each other: a table, their histories in one figure, differences of their fields.
+    """Compare runs: a table, their histories in one figure, differences of their fields.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Pa
     Raises
     ------
     CaseError
-        A folder holds no run, there are fewer than two, or they are in different units.
+        A folder has no run, there are fewer than two runs, or their units differ.
 
     Examples
     --------
@@ -316,7 +316,7 @@ def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Pa
 
 
 def _names(runs: Sequence[Result]) -> list[str]:
-    """Return the names of the folders, with as much of their paths as tells them apart."""
+    """Return the names of the folders, with enough of their paths to be unique."""
     parts = [run.folder.resolve().parts for run in runs]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(one[-count:]) for one in parts]
@@ -326,7 +326,7 @@ def _names(runs: Sequence[Result]) -> list[str]:
 
 
 def _refuse_apart(what: str, units: Mapping[str, str]) -> None:
-    """Raise CaseError where one of the runs has another unit than the first."""
+    """Raise CaseError if the unit of a run differs from that of the first."""
     first = next(iter(units), "")
     for name, unit in units.items():
         if unit != units[first]:

@@ -1,20 +1,20 @@
-"""Warning about models whose running cracks take another energy than the declared fracture energy."""
+"""Warning about models whose running cracks dissipate another energy than the declared fracture energy."""
 
 from __future__ import annotations
 
 from pdpetsc.bond_based import BondBased
 from pdpetsc.case import Case, ungraded
 
-# Bonds that lose their force before this multiple of the stretch of onset behave as bonds that snap.
+# Bonds that lose their force below this multiple of the stretch at onset behave as bonds that snap.
 STEEP = 2.0
 PAGE = "docs/reference/measured/fracture.md"
 
 
 def missed_fracture_energy(case: Case) -> str | None:
-    """Return a sentence about the energy of running cracks if it differs from Gc, else None (not collective).
+    """Return a warning if running cracks dissipate another energy than Gc, else None (not collective).
 
-    A fracture energy is that of breaking all bonds across a plane. Cracks through bond-based materials that soften take
-    it. Laws with a ``share`` and critical stretches are not judged, and along a line there is no crack.
+    A fracture energy is the energy of breaking all bonds across a plane. Cracks in softening bond-based materials
+    dissipate it. Laws with a ``share``, critical stretches and line bodies are not checked.
     """
     if getattr(case.particles, "dim", 2) == 1:
         return None
@@ -39,7 +39,7 @@ def missed_fracture_energy(case: Case) -> str | None:
 
 
 def _missed_by_points(case: Case) -> str | None:
-    """Return the sentence for damage at gradient points."""
+    """Return the warning for damage at gradient points."""
     if case.gradients.patches is not None:
         model, size = "patches that share a dilatation", "0.8 to 1.2"
     elif case.control is None:

@@ -1,4 +1,4 @@
-"""What a run says of its case before the first step, in the log and in ``summary.json``."""
+"""Description of a case before the first step, for the log and ``summary.json``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.case import Case
+from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.conditions import Displacement, condition_name
 from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.declare.particles import Lattice
@@ -29,26 +29,26 @@ from pdpetsc.running.unbalanced_surface import unbalanced_areas
 
 
 def versions_in_use() -> dict[str, str]:
-    """Return the versions of Python, PETSc and the packages that numbers depend on."""
+    """Return the versions of Python, PETSc and the packages that affect results."""
     packages = ("pdpetsc", *OF_NUMBERS)
-    # Those that are missing are named too: pdpetsc is if it runs from a checkout.
+    # Missing packages are listed too, such as pdpetsc in a checkout.
     found = {"python": "", "petsc": petsc_version(), **dict.fromkeys(packages, "not installed")}
     return found | versions(packages)
 
 
 def describe(case: Case, problem: Problem, declared: Case, report: Report) -> dict[str, Any]:
-    """Print what a built problem is, and return its entries of the summary.
+    """Print the description of a built problem, and return its entries of the summary.
 
     Parameters
     ----------
     case : Case
-        What is solved.
+        The solved case.
     problem : Problem
         The problem of that case.
     declared : Case
-        What is declared: the scheme of ``case`` may be another one.
+        The declared case; its scheme may differ from that of ``case``.
     report : Report
-        Takes the lines.
+        Receives the lines.
 
     Notes
     -----
@@ -80,7 +80,7 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     elif case.horizon is None:
         report.say(f"horizon {cloud.horizon:.6g}, the default of particles and scheme")
     report.say(
-        f"{cloud.n_global} particles in {cloud.dim}D, {bonds} bonds, "
+        f"{cloud.n_global} particles in {_kind(case, cloud.dim)}, {bonds} bonds, "
         f"{f'{points} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
     )
     if case.symmetry:
@@ -89,8 +89,14 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     return entries
 
 
+def _kind(case: Case, dim: int) -> str:
+    """Return the number of dimensions, with the state of a plane body."""
+    states = sorted({getattr(ungraded(material), "plane", "strain") for _, material in case.materials})
+    return f"{dim}D ({' and '.join(f'plane {state}' for state in states)})" if dim == 2 else f"{dim}D"
+
+
 def _labels(case: Case) -> dict[str, Any]:
-    """Return units, kinds of numbers and cracks of a plane body, for pictures and tables."""
+    """Return units, dimensions of quantities and cracks of a plane body, for pictures and tables."""
     return {
         "units": {} if case.units is None else dataclasses.asdict(case.units),
         "dimensions": {
@@ -156,7 +162,7 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
         )
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
-        # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
+        # With conforming weights a uniform stress is in equilibrium with the supports.
         cut *= int(any(problem.body.cloud.comm.allgather(bool(unbalanced_areas(case, problem).any()))))
     if cut:
         report.detail(
@@ -179,7 +185,7 @@ def _held_in_the_mean(case: Case, problem: Problem) -> list[tuple[str, str, int]
 
 
 def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
-    """Return the names of displacements at a point that hold several particles, and the counts."""
+    """Return the names of displacements at a point that hold several particles, with their numbers."""
     counts = {name: count for name, _, count in held}
     found = []
     for number, condition in enumerate(case.conditions, 1):

@@ -1,4 +1,4 @@
-"""Numbers of the history that may be wrong although the run converges, as J, G and K that depend on the path."""
+"""Numbers of a converged run that may be wrong, such as J, G and K that depend on the path."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Doubts(Observer):
         return {"doubts": {name: why for name, why in doubts.items() if why}} if any(doubts.values()) else {}
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
-        """Return the first doubt of each number, and in how many steps there is one."""
+        """Return the first doubt of each number, and the number of steps with a doubt."""
         first: dict[str, dict[str, Any]] = {}
         for step in steps:
             for name, why in step.get("doubts", {}).items():
@@ -31,7 +31,7 @@ class Doubts(Observer):
         return {"doubts": first}
 
     def warnings(self, steps: StepRecords) -> list[str]:
-        """Return a sentence for each number in doubt."""
+        """Return a warning for each doubtful number."""
         found = []
         for name, doubt in self.summary(steps)["doubts"].items():
             when = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")

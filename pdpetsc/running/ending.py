@@ -1,4 +1,4 @@
-"""The end of a run by an error: one sentence on every rank, the right exit status, records up to the last step."""
+"""The end of a run by an error: one message on all ranks, exit status, records up to the last step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pdpetsc.running.signals import Signals
 
 
 def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> PdpetscError:
-    """Leave everything in order after an error and return it as one sentence; abort if this rank fails alone."""
+    """Finish the record after an error and return the error with its message; abort if this rank fails alone."""
     comm, phase = record.comm, record.phases.now
     failure, stopped = described(error), isinstance(error, KeyboardInterrupt)
     failure.phase = failure.phase or phase
@@ -39,7 +39,7 @@ def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> Pdpet
     if not record.taken:
         return failure
     status = str(failure)
-    # A signal may have come in the middle of a write; what is on disk stays.
+    # A signal may interrupt a write; files on disk remain.
     if not (stopped or isinstance(failure, OutputError)):
         try:
             record.end()
@@ -48,7 +48,7 @@ def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> Pdpet
         except Exception as other:
             status += f" {described(other)}"
     record.summary["error"] = type(failure).__name__
-    # What ended the run is on record, whatever signals come.
+    # The reason is recorded, whatever signals arrive.
     signals.deaf = True
     with contextlib.suppress(Exception):
         record.write(status)
@@ -56,7 +56,7 @@ def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> Pdpet
 
 
 def leave(failure: PdpetscError, record: RunRecord) -> NoReturn:
-    """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
+    """Abort all ranks; print the reason, and write it to the summary from this rank alone."""
     failure = failure.of_one_rank(record.phases.now, record.comm.rank)
     if record.taken:
         record.summary["error"] = type(failure).__name__
@@ -66,13 +66,13 @@ def leave(failure: PdpetscError, record: RunRecord) -> NoReturn:
 
 
 def leave_if_stuck(record: RunRecord) -> None:
-    """End a rank that a signal should have ended and that waits for others in MPI; on one rank MPI never waits."""
+    """End a rank that got a signal but waits for others in MPI; not needed on a single rank."""
     if record.comm.size > 1:
         leave(Interrupted(f"Stopped by a signal in phase {record.phases.now}; nothing was run."), record)
 
 
 def _of_right_status(failure: PdpetscError, record: RunRecord, together: bool) -> PdpetscError:
-    """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
+    """Return the error with its exit status: 2 before the first solve, then 1."""
     phase = record.phases.now
     if record.solved:
         if not isinstance(failure, CaseError):

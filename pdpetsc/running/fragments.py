@@ -1,4 +1,4 @@
-"""The pieces of a body whose bonds break, and particles without a gradient."""
+"""Fragments of a body with broken bonds, and particles without a gradient."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pdpetsc.solvers.protocol import Converged
 
 
 class DetachedParticles(Observer):
-    """Counts particles that have too few bonds for a gradient."""
+    """Counts particles with too few bonds for a gradient."""
 
     _count = 0
 
     def begin(self, observed: Observed) -> None:
-        """Count those before a restart."""
+        """Count particles already detached at a restart."""
         super().begin(observed)
         if observed.origin is not None:
             self._count = observed.problem.material_term.n_detached
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
-        """Print a line if there are more."""
+        """Print a line if the number has increased."""
         lost = solution.problem.material_term.n_detached
         if lost > self._count:
             line = f"           {lost} particles have too few bonds left for a gradient; their stress is gone"
@@ -37,13 +37,13 @@ class DetachedParticles(Observer):
 
 
 class Fragments(Observer):
-    """Counts the pieces of the body at the end of the run, and compares the last forces with the largest."""
+    """Counts the fragments at the end of the run, and compares the last forces with the largest."""
 
     def __init__(self) -> None:
         self._pieces: dict[str, Any] = {}
 
     def end(self) -> None:
-        """Print the pieces if bonds are broken."""
+        """Print the number of fragments if bonds are broken."""
         problem, steps = self.observed.problem, self.observed.steps
         if self._pieces or problem.bond_damage is None or not problem.bond_damage.bonds.count_broken():
             return
@@ -58,5 +58,5 @@ class Fragments(Observer):
         self.observed.report.say(f"{body}{beside}{carried}")
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
-        """Return the pieces, once they are counted."""
+        """Return the number of fragments, once counted."""
         return self._pieces

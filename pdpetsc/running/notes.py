@@ -1,4 +1,4 @@
-"""What a run says of defaults that mislead: surfaces, interfaces and jumps that a case does not resolve."""
+"""Notes on surfaces, interfaces and jumps that a case does not resolve."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
 
-# At this quotient of shear moduli the stress within a horizon of an interface is off by 25 %, whatever the spacing; at
-# 1.5 by 14 %: docs/reference/measured/defaults.md.
+# At this ratio of shear moduli the stress within a horizon of an interface has an error of 25 % at any spacing; 14 % at
+# 1.5: docs/reference/measured/defaults.md.
 STIFFER = 2.0
-# Steps of one cell that a notch along the planes of a lattice may have.
+# Number of one-cell steps allowed for a notch along the planes of a lattice.
 FEW = 2
-# Share of the stress that may be lost where a jump is spread over the first step.
+# Tolerated share of the stress that is lost if a jump is spread over the first step.
 SPREAD = 0.01
 # A load jumps if it has this share of its value at the end of the first step after this share of the step.
 JUMPED, AFTER = 0.5, 0.01
 
 
 def notes(case: Case, problem: Problem) -> list[str]:
-    """Return the notes for a user of the numbers of a run.
+    """Return the notes on the results of a run.
 
     Parameters
     ----------
     case : Case
-        What is declared.
+        The declared case.
     problem : Problem
         The problem of that case.
 
@@ -50,7 +50,7 @@ def _reads_stress(case: Case) -> bool:
 
 
 def staircase_note(case: Case, problem: Problem) -> str:
-    """Return the note on a stress beside a lattice whose cut surface is a staircase; else nothing (collective)."""
+    """Return the note on stress near the staircase surface of a lattice, if it applies (collective)."""
     comm = problem.body.cloud.comm
     with agreed(comm):
         stairs = case.particles.stairs(comm.rank, comm.size) if _reads_stress(case) else 0
@@ -64,7 +64,7 @@ def staircase_note(case: Case, problem: Problem) -> str:
 
 
 def interface_note(case: Case, problem: Problem) -> str:
-    """Return the note on bonds between materials of very different stiffness; else nothing (collective)."""
+    """Return the note on bonds between materials of very different stiffness, if it applies (collective)."""
     if case.of_bonds or len(case.materials) == 1:
         return ""
     cloud, families, dim = problem.body.cloud, problem.body.families, problem.dim
@@ -89,7 +89,7 @@ def interface_note(case: Case, problem: Problem) -> str:
 
 
 def jump_note(case: Case, problem: Problem) -> str:
-    """Return the note on a load that jumps at the start of a body that relaxes in the first step; else nothing.
+    """Return the note on a load that jumps while the material relaxes in the first step, if it applies.
 
     Notes
     -----
@@ -110,7 +110,7 @@ def jump_note(case: Case, problem: Problem) -> str:
 
     try:
         early, late = sizes(AFTER * first), sizes(first)
-    except SolveError:  # a function of the case, which the run will name
+    except SolveError:  # an error of the case, reported by the run
         return ""
     if not np.any((late > 0.0) & (early > JUMPED * late)):
         return ""

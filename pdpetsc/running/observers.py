@@ -1,4 +1,4 @@
-"""The observers of a run, in the order in which they record a step."""
+"""The observers of a run, in recording order."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from pdpetsc.running.unbalanced_surface import UnbalancedForces
 
 
 def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> tuple[History, list[Observer]]:
-    """Return the history, and all observers of a run in the order in which they record a step."""
+    """Return the history, and all observers of a run in recording order."""
     damage, fields = problem.bond_damage, [*case.recorded, *fields_of_terms(problem)]
     history = History({**numbers_of_terms(problem), **case.quantities})
-    # The control of points that fail is a part of their energy.
+    # The energy of failing points includes their control.
     stabilises = case.control is not None and (problem.damage is None or not problem.damage.forces_have_energy)
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]
     return history, [

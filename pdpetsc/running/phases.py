@@ -1,4 +1,4 @@
-"""Phases of a run: which one it is in, and how long each has taken."""
+"""Phases of a run, with their times."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from pdpetsc.petsc.stages import OUTPUT, SEARCH, SET_UP, stage
 
-# Stages of PETSc's log that phases belong to.
+# Stages of PETSc's log for the phases.
 STAGES = {
     **dict.fromkeys(("particles", "families"), SEARCH),
     **dict.fromkeys(("kernels", "model", "pattern", "allocation"), SET_UP),
@@ -17,14 +17,14 @@ STAGES = {
 
 
 class Phases:
-    """What a run is doing.
+    """The current phase of a run, and the times of all phases.
 
     Attributes
     ----------
     now : str
-        The phase that it is in, or was in last.
+        The current or last phase.
     timings : dict of str to float
-        What every phase has taken so far [s].
+        Time of every phase so far [s].
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class Phases:
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:
-        """Be in a phase, and in its stage of PETSc's log, while the body runs; an error ends it untimed."""
+        """Run the body as a phase, and in its stage of PETSc's log; an error leaves it untimed."""
         self.now = phase
         before = time.perf_counter()
         with stage(STAGES[phase]):
@@ -41,5 +41,5 @@ class Phases:
         self.add(phase, time.perf_counter() - before)
 
     def add(self, phase: str, seconds: float) -> None:
-        """Add to what a phase has taken."""
+        """Add to the time of a phase."""
         self.timings[phase] = self.timings.get(phase, 0.0) + seconds

@@ -1,4 +1,4 @@
-"""From a case to its problem and solver, for a run or for those who drive them themselves."""
+"""Construction of problem and solver of a case, for ``run`` or for direct use."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from pdpetsc.solvers.table import refuse_unmet, solver_of
 
 
 class Prepared:
-    """A case whose problem is built and distributed, nothing of it solved yet; ``prepare`` makes it.
+    """A case with its built and distributed problem, before the solution; returned by ``prepare``.
 
     Attributes
     ----------
     case : Case
-        What is declared, with the scheme and the control that were chosen for a nearly incompressible body.
+        The declared case, with the scheme and control chosen for a nearly incompressible body.
     comm : Comm
         The ranks that share the problem.
     problem : Problem
         Terms and supports on the distributed cloud: residual, tangent, energies.
     phases : Phases
-        What building it has taken.
+        Times of the set-up.
 
     Notes
     -----
@@ -68,24 +68,24 @@ class Prepared:
 
     @cached_property
     def choice(self) -> Choice:
-        """Return how the tangent is represented."""
+        """Return the choice of the representation of the tangent."""
         pivots = self.case.steps.unstable != "warn"
-        with self._chosen.active():  # so that what it looks up counts as used
+        with self._chosen.active():  # so that options it reads count as used
             return choose(self.problem, self._chosen.chosen, self.case.solver, pivots)
 
     @cached_property
     def options(self) -> Options:
-        """Return PETSc's options of this problem: the caller's, the case's, and what suits it."""
+        """Return the PETSc options of this problem: of the caller, of the case, and defaults for the problem."""
         found = default_options(self.problem, self.case.solver, self.choice)
         return self._chosen.suggest(coupled_options(found) if self.problem.coupled else found)
 
     def solution(self, unknowns: Float | None = None, t: float = 0.0, step: int = 0) -> Solution:
-        """Return a solution, for fields and quantities: the undeformed body by default.
+        """Return a solution for fields and quantities; by default of the undeformed body.
 
         Parameters
         ----------
         unknowns : (n_rows, dim) float64, optional
-            Displacements of the own particles, then the virtual rows of a periodic cell [length].
+            Displacements of the owned particles, then the virtual rows of a periodic cell [length].
         t : float
             Step time [-].
         step : int
@@ -96,25 +96,25 @@ class Prepared:
         return Solution(self.problem, unknowns, t, step)
 
     def gathered(self, field: Field, solution: Solution) -> NDArray[Any] | None:
-        """Return a field of a solution, all particles in creation order, on rank 0; None on the others."""
+        """Return a field of a solution for all particles in creation order on rank 0; None on other ranks."""
         return gathered(solution, field)
 
     def make_solver(
         self, stop: Callable[[], bool] = lambda: False, allocates: Callable[[int], None] = lambda size: None
     ) -> Solver:
-        """Return the solver that the case declares; call its ``destroy`` before MPI ends.
+        """Create the solver of the case; call its ``destroy`` before MPI ends.
 
         Parameters
         ----------
         stop : callable
-            Asked now and then, collectively; True ends the march.
+            Called at intervals, collectively; True ends ``march``.
         allocates : callable
-            Told how many bytes a matrix is about to take over all ranks, where there is one.
+            Called with the bytes of a matrix over all ranks before it is allocated.
 
         Raises
         ------
         CaseError
-            The problem is not one that this solver can solve, or PETSc refuses an option.
+            The solver cannot solve this problem, or PETSc refuses an option.
         """
         declared, steps, problem = self.case.solver, self.case.steps, self.problem
         refuse_unmet(problem, declared)
@@ -136,12 +136,12 @@ class Prepared:
     def march(
         self, solver: Solver, start: Start | None = None, on_failure: OnFailure = lambda at, dt, result: None
     ) -> Iterator[Converged]:
-        """Yield one converged state after the other, with the options of this problem in force inside only.
+        """Solve the load steps and yield the converged states; options of this problem are set only inside.
 
         Raises
         ------
         SolveError
-            No step leads on; what was yielded before stands.
+            No further step converges; earlier states remain valid.
         """
         steps = solver.march(Start(self.solution().unknowns) if start is None else start, on_failure)
         while True:
@@ -160,13 +160,13 @@ def prepare(
     Parameters
     ----------
     case : Case
-        What to build.
+        The case.
     comm : communicator of mpi4py or petsc4py, optional
-        The ranks that share it; all by default.
+        The ranks; by default all.
     options : mapping, optional
-        PETSc options without dash; they win over the case's.
+        PETSc options without dash; they override those of the case.
     phases : Phases, optional
-        Where it is noted what building takes.
+        Receives the times of the set-up.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def prepare(
         cloud = make_cloud(ranks, case, chunk)
         with agreed(ranks):
             check_declared(case, cloud.dim)
-            # Files of particles are read once for it.
+            # Files of particles are read once.
             weighed = replace(case, weights=case.chosen_weights)
     with phases.timed("kernels"):
         rehearse(ranks, weighed, cloud.dim)
@@ -219,7 +219,7 @@ def _with_supports(case: Case) -> Case:
 
 
 def _of_all_ranks(case: Case) -> dict[str, Any]:
-    """Return the declared values that must be equal on all ranks; fields and results count by their names."""
+    """Return the declared values that must be equal on all ranks; fields and results are compared by name."""
     declared = {field.name: getattr(case, field.name) for field in fields(case)}
     results = None if case.results is None else name_of(case.results)
     return declared | {"fields": [name_of(field) for field in case.written], "results": results}

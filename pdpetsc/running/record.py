@@ -16,37 +16,37 @@ from pdpetsc.solvers.protocol import Converged, StepResult
 
 
 class RunRecord:
-    """Everything that a run leaves.
+    """All records of a run.
 
     Parameters
     ----------
     comm : Comm
         The ranks.
     folder : Path
-        Where it is written.
+        Output folder.
     entries : mapping
         The first entries of the summary.
 
     Attributes
     ----------
     phases : Phases
-        What the run is doing.
+        Phases of the run.
     summary : dict
-        Entries of ``summary.json`` that do not follow from the steps.
+        Entries of ``summary.json`` besides those of the steps.
     steps : list of dict
         The records of the steps, with those before a restart.
     solved : int
-        Steps of this run.
+        Number of steps of this run.
     failed : list of StepResult
         Failed attempts since the last step.
     unit : str
         Name of the iterations of the solver.
     observers : sequence of Observer
-        They record each step in this order.
+        Observers, in recording order.
     observed : Observed or None
-        What they see, from ``begin`` on.
+        Data for the observers, from ``begin`` on.
     taken : bool
-        The folder holds files of this run.
+        True if the folder has files of this run.
     """
 
     def __init__(self, comm: Comm, folder: Path, entries: Mapping[str, Any]) -> None:
@@ -63,8 +63,8 @@ class RunRecord:
         self.taken = False
 
     def begin(self, observed: Observed) -> None:
-        """Record the state from which the run starts (collective)."""
-        # The work of the next step needs these forces, and by then bonds may have failed.
+        """Record the initial state of the run (collective)."""
+        # The work of the next step requires these forces, before bonds fail.
         _ = observed.last.internal_force
         for observer in self.observers:
             observer.begin(observed)
@@ -82,25 +82,25 @@ class RunRecord:
         tangent_at = observed.solver.tangent_at
         solution = Solution(last.problem, u, t, last.step + 1, resume=resume, tangent_at=tangent_at)
         solution.follow(last, converged.work)
-        # The body is in this state from here on, whatever becomes of its record.
+        # The body is in this state from here on, even if recording fails.
         observed.last = solution
         for observer in self.observers:
             self.steps[-1] |= observer.step(solution, converged)
         solution.forget()
 
     def end(self) -> None:
-        """Let the observers write what is left (collective)."""
+        """Let the observers write remaining data (collective)."""
         if self.observed is not None:
             for observer in self.observers:
                 observer.end()
 
     def judge(self) -> None:
-        """Let the observers judge the last state of a run that has converged (collective)."""
+        """Let the observers check the last state of a converged run (collective)."""
         for observer in self.observers:
             observer.judge()
 
     def write(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
-        """Write the summary, and return it as the file has it (collective)."""
+        """Write the summary, and return the contents of the file (collective)."""
         memory = self.comm.allgather(_peak_memory())
         summary = self._summary(status, results or {}, memory)
         write_summary(self.comm, self.folder, summary)
@@ -124,7 +124,7 @@ class RunRecord:
         return summary | {"warnings": self.warnings()}
 
     def warnings(self) -> list[str]:
-        """Return the sentences of the observers that a user should read (not collective)."""
+        """Return the warnings of the observers (not collective)."""
         return [warning for observer in self.observers for warning in observer.warnings(self.steps)]
 
 

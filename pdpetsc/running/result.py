@@ -1,4 +1,4 @@
-"""What a run gives: named results, history, fields and the last solution."""
+"""Results of a run: named results, history, fields and the last solution."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
 
-# What stands for the run of a folder that was opened without fields.
+# Identifier of the run of a folder without fields.
 NONE_YET = ""
 
 
 class Result(Mapping[str, float]):
-    """What a run gives: a mapping of its named results, with history, fields and summary beside them.
+    """The results of a run: a mapping of its named results, with history, fields and summary.
 
-    ``run`` returns it, ``open`` makes it from the folder of a run that has ended; the second has no ``solution``.
+    ``run`` returns it; ``open`` reads it from the folder of a finished run, without ``solution``.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Result(Mapping[str, float]):
     history : dict of str to (n_steps,) float64
         The columns of ``history.csv``: ``step``, ``t`` [-], and the quantities of the case.
     summary : dict
-        What ``summary.json`` holds: status, steps, timings, options, ...
+        Contents of ``summary.json``: status, steps, timings, options, ...
     solution : Solution or None
-        The last converged state, of the particles of this rank.
+        The last converged state, for the particles of this rank.
 
     Examples
     --------
@@ -93,7 +93,7 @@ class Result(Mapping[str, float]):
         Raises
         ------
         CaseError
-            The run wrote none, or a later one has taken its folder.
+            The run wrote no fields, or a later run uses its folder.
         """
         stored = StoredFields(self.folder, self._run or None)
         if self._run == NONE_YET:
@@ -104,14 +104,14 @@ class Result(Mapping[str, float]):
         return stored
 
     def field(self, name: str, step: int | None = None) -> NDArray[Any]:
-        """Return a field of all particles in creation order, of the last step that has any by default (not collective).
+        """Return a field of all particles in creation order; by default of the last written step (not collective).
 
-        Vectors are (n, 3) and tensors (n, 3, 3), whatever the dimension of the body.
+        Vectors are (n, 3) and tensors (n, 3, 3) in every dimension of the body.
 
         Raises
         ------
         CaseError
-            The run wrote no such field or step.
+            The run did not write the field or step.
         """
         return self.fields.field(name, step)
 
@@ -127,39 +127,38 @@ class Result(Mapping[str, float]):
 
     @property
     def doubts(self) -> dict[str, str]:
-        """Return which numbers of the history may be wrong though the run has ended well, and why; mostly none."""
+        """Return the numbers of the history that may be wrong although the run converged, with the reasons."""
         return {name: str(found.get("why")) for name, found in (self.summary.get("doubts") or {}).items()}
 
     def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
 
-        Particles beyond a crack do not count: neither where the case has a crack from the start nor where the bonds
-        to them are broken at the step. Where too few are left for a slope, a point has the value of its particle.
+        Particles beyond a pre-crack or behind broken bonds are excluded from the fit. If too few remain for a slope, a
+        point has the value of its particle.
 
         Parameters
         ----------
         points : (m, d) array
-            Where in the undeformed body [length], whatever has moved; d is the dimension of the body, or 3:
-            ``np.linspace(start, end, 50)`` is a line; places along a line body may be (m,). A point on a crack
-            belongs to one of its sides.
+            Positions in the undeformed body [length]; d is the dimension of the body, or 3. ``np.linspace(start, end,
+            50)`` is a line; positions along a line body may be (m,). A point on a crack belongs to one of its sides.
         name : str
             The field, as for ``field``.
         step : int, optional
-            The step, the last one by default.
+            The step; by default the last one.
 
         Returns
         -------
         (m, ...) float64
-            nan outside of the undeformed body. It is where the cells of its particles are, if these are equal boxes,
-            also of unequal sides; else behind its surface, where the particles know it; else, of particles of which
-            only the volumes are known, where discs of these volumes are and what lies between two near ones.
+            nan outside of the undeformed body. The body is the union of the cells of its particles if these are equal
+            boxes; otherwise the interior of its surface, if known; otherwise the union of discs with the volumes of the
+            particles, and of the space between near ones.
 
         Raises
         ------
         CaseError
-            The run wrote no such field or step, or the points have another dimension or are not finite, or the body
-            is one particle that is elsewhere; or the field is one of forces on particles, which are as large as the
-            particles and have no values between them; or a crack is of a class of the case.
+            The run did not write the field or step; the points have a wrong dimension, are not finite, or are not at
+            the position of a single particle; the field has forces of particles, which have no values between them; or
+            a crack has a class of the case.
         """
         if Labels.of(self.summary).fields.get(name) == "force":
             raise CaseError(
@@ -172,7 +171,7 @@ class Result(Mapping[str, float]):
 
     @cached_property
     def _body(self) -> tuple[Float, Inside]:
-        """Return where the particles are (n, 3), and what tells which places are inside of the body."""
+        """Return the positions of the particles (n, 3), and the point location of the body."""
         stored, x = self.fields, self.x
         dim = int(self.summary.get("dimension") or max(1, int((np.ptp(x, axis=0) > 0.0).sum())))
         depth = float(self.summary.get("thickness") or 1.0) if dim < 3 else 1.0
@@ -180,10 +179,10 @@ class Result(Mapping[str, float]):
         return x, inside_of(x[:, :dim], np.asarray(stored.of_particles("volume")), depth, surface)
 
     def _held(self, x: Float, step: int | None) -> Held:
-        """Return which of the particles (n, dim) hold together at a step."""
+        """Return the connection of particles (n, dim) at a step."""
         records = self.summary.get("cuts")
         if records is None:
-            # Of earlier versions only the lines of a plane body are known.
+            # Earlier versions stored only crack lines of plane bodies.
             lines = self.summary.get("cracks") or []
             records = [{"kind": "Polyline", "points": line} for line in lines if len(line) > 1]
         cracks = [(record, crack_of(record)) for record in records]
@@ -200,7 +199,7 @@ class Result(Mapping[str, float]):
         return Held(x, known, broken, float(horizon) if horizon else np.inf)
 
     def frame(self) -> Any:
-        """Return the history as a pandas data frame, a row a step.
+        """Return the history as a pandas data frame, one row per step.
 
         Raises
         ------
@@ -213,13 +212,13 @@ class Result(Mapping[str, float]):
     def to_pyvista(self, step: int | None = None) -> Any:
         """Return the particles as a PyVista point cloud in the undeformed body, with all fields of a step.
 
-        Not collective. ``warp_by_vector("displacement")`` of it is the deformed body. Tensors have nine components,
-        row by row.
+        Not collective. Its ``warp_by_vector("displacement")`` is the deformed body. Tensors have nine components, row
+        by row.
 
         Parameters
         ----------
         step : int, optional
-            The step, the last one by default.
+            The step; by default the last one.
 
         Raises
         ------
@@ -234,15 +233,15 @@ class Result(Mapping[str, float]):
         return cloud
 
     def check(self) -> list[Check]:
-        """Compare the results with what the case expects, and return every check (not collective).
+        """Compare the results with the expected results of the case, and return every check (not collective).
 
         Raises
         ------
         CheckError
-            A result is not what was expected, or missing.
+            A result is not as expected, or missing.
         CaseError
-            There is nothing to compare with: the case expects nothing, or the run was opened from its folder and had
-            not been checked.
+            There are no expected results: the case declares none, or the run was opened from its folder and had not
+            been checked.
         """
         expect = self._expect or expected_of(self.summary)
         refuse_unchecked(expect)
@@ -255,11 +254,11 @@ class Result(Mapping[str, float]):
     def to_xarray(self) -> Any:
         """Return all fields of all steps as an xarray data set (not collective).
 
-        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors, and
-        ``principal`` (1, 2, 3) in place of ``component`` for principal values; coordinates are the step, its time
-        ``t`` [-], the volumes, and the reference positions ``X`` [length] by particle and component. A field of the
-        case that is named as one of these has ``_field`` after its name. Fields that some steps lack are left out, and
-        everything is read at once.
+        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second index of tensors, and
+        ``principal`` (1, 2, 3) instead of ``component`` for principal values. Coordinates are the step, its load
+        parameter ``t`` [-], the volumes, and the reference positions ``X`` [length] by particle and component. A field
+        of the case with one of these names gets the suffix ``_field``. Fields missing in some steps are omitted. All
+        data are read at once.
 
         Raises
         ------
@@ -270,7 +269,7 @@ class Result(Mapping[str, float]):
         fields = self.fields
         shared = [name for name in fields.names() if all(name in fields.names(step) for step in fields.steps)]
         labels = Labels.of(self.summary)
-        # xarray puts the units behind the words itself.
+        # xarray appends the units itself.
         words = replace(labels, units=None)
         axes = list("xyz")
         coordinates = {
@@ -300,9 +299,9 @@ class Result(Mapping[str, float]):
         return f"<div><b>{html.escape(str(self.folder))}</b>{table}{self._picture_html()}</div>"
 
     def _picture_html(self) -> str:
-        """Return the picture of the run, or a sentence why there is none; empty where it has nothing to draw."""
+        """Return the picture of the run, or the reason why there is none; empty if there is nothing to draw."""
         try:
-            _ = self.fields  # of this run: a later one may have taken the folder
+            _ = self.fields  # of this run: a later run may use the folder
             data = picture_of_run(self.folder)
         except (CaseError, OSError):
             return ""
@@ -312,12 +311,13 @@ class Result(Mapping[str, float]):
         return f"<img alt='the deformed body' style='max-width:640px' src='data:image/png;base64,{encoded}'>"
 
     def gathered(self, field: Field) -> NDArray[Any] | None:
-        """Return a field of the last solution, all particles in creation order, on rank 0; None on the others.
+        """Return a field of the last solution for all particles in creation order on rank 0; None on other ranks.
 
         Parameters
         ----------
         field : Field
-            Any function of a solution that returns a row per particle, written by the run or not: ``pd.stress``.
+            Any function of a solution that returns one row per particle, such as ``pd.stress``, written by the run or
+            not.
 
         Raises
         ------
@@ -334,7 +334,7 @@ class Result(Mapping[str, float]):
 
 
 def named_numbers(results: Any) -> dict[str, float]:
-    """Return the results that a function of a case gave as finite numbers; raises RunError if one is none."""
+    """Return the results of a case as finite numbers; raise RunError if a result is not a finite number."""
     try:
         named = dict(results)
     except (TypeError, ValueError):
@@ -354,7 +354,7 @@ def named_numbers(results: Any) -> dict[str, float]:
 
 
 def optional_module(name: str, otherwise: str) -> Any:
-    """Return a module that pdpetsc does not need, where it is installed."""
+    """Import an optional module; raise CaseError if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -362,13 +362,13 @@ def optional_module(name: str, otherwise: str) -> Any:
 
 
 def gathered(solution: Solution, field: Field) -> NDArray[Any] | None:
-    """Return a field of a solution, all particles in creation order, on rank 0; None on the others (collective)."""
+    """Return a field of a solution for all particles in creation order on rank 0, else None (collective)."""
     parts = [part for _, part in InCreationOrder(solution.cloud).parts_on_root(np.asarray(field(solution)))]
     return np.concatenate(parts) if parts else None
 
 
 def open_run(folder: str | Path) -> Result:
-    """Return what a run left in its folder, whether it converged, failed or was stopped.
+    """Read the results of a run from its folder, also of a failed or stopped run.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ def open_run(folder: str | Path) -> Result:
     Raises
     ------
     CaseError
-        It holds no run.
+        The folder has no run.
 
     Examples
     --------
@@ -388,7 +388,7 @@ def open_run(folder: str | Path) -> Result:
     'converged'
     """
     folder = Path(folder)
-    # Before the rest: where another run begins meanwhile, its numbers go with no fields rather than with others.
+    # Read first: if another run begins meanwhile, its numbers have no fields rather than wrong ones.
     run = _run_of(folder)
     summary = read_summary(folder)
     try:
@@ -400,7 +400,7 @@ def open_run(folder: str | Path) -> Result:
 
 
 def _run_of(folder: Path) -> str | None:
-    """Return which run the fields in a folder are of, so that those of a later one are not taken for them."""
+    """Return the identifier of the run of the fields in a folder, to detect fields of a later run."""
     try:
         return StoredFields(folder).run
     except CaseError:

@@ -1,4 +1,4 @@
-"""Running a case: prepare, march, observe, finish."""
+"""Running a case: prepare, solve, observe, finish."""
 
 from __future__ import annotations
 
@@ -49,54 +49,56 @@ def run(
     check: bool = False,
     asked: Mapping[str, Any] | None = None,
 ) -> Result:
-    """Run a case and return what came out.
+    """Run a case and return its results.
 
     Parameters
     ----------
     case : Case
-        What to run.
+        The case.
     output : str or Path
         Folder for ``summary.json``, ``history.csv``, ``fields.h5``, ``fields.xdmf``, ``checkpoint.h5``.
     options : mapping, optional
-        PETSc options without dash; they win over the case's.
+        PETSc options without dash; they override those of the case.
     restart : str or Path, optional
-        Checkpoint to go on from, or the folder of a run that holds one.
+        Checkpoint to continue from, or the folder of a run with a checkpoint.
     parameters : mapping, optional
-        Written to the summary: what the case was made with.
+        Parameters of the case, written to the summary.
     restart_anyway : bool
-        Go on from a checkpoint of a case that declares something else: another material, load, crack, ...
+        Continue from a checkpoint of a different case, with another material, load, crack, ...
     comm : communicator of mpi4py or petsc4py, optional
-        The ranks that run it; all by default. Groups of ranks can run cases side by side, each in its own folder.
+        The ranks; by default all. Groups of ranks can run cases at the same time, each in its own folder.
     report : callable
-        Makes what takes the words of the run from its ranks: the logger ``pdpetsc`` by default.
+        Creates the report of the run from its ranks; by default the logger ``pdpetsc``.
     check : bool
-        Compare the results with ``Case.expect``, and say and record how they compare.
+        Compare the results with ``Case.expect``, and print and record the comparison.
     asked : mapping, optional
-        Written to the summary too, for the report: the command and the text of the case file.
+        The command and the text of the case file, written to the summary for the report.
 
     Returns
     -------
     Result
-        The case's results by name, with history, summary, fields and the last solution.
+        The named results of the case, with history, summary, fields and the last solution.
 
     Raises
     ------
     CaseError
-        The case or an option is wrong; nothing was run, and the folder is as it was, but where PETSc refuses an option
-        in the first solve only: then what an earlier run left is in ``earlier/``.
+        The case or an option is wrong; nothing was run, and the folder is unchanged. Exception: if PETSc refuses an
+        option only in the first solve, files of an earlier run are in ``earlier/``.
     SolveError, OutputError, Interrupted
-        The run ended early; the folder holds everything up to the last converged step.
+        The run ended early; the folder has all records up to the last converged step.
     RunError
-        A function of the case, PETSc or the memory failed, or pdpetsc itself; likewise. Its cause is what was raised.
+        A function of the case, PETSc, the memory or pdpetsc itself failed; records as above. ``__cause__`` is the
+        original exception.
     CheckError
-        The run has ended and its folder is complete, but a result is not what the case expects.
+        The run has ended and its folder is complete, but a result is not as expected.
 
     Notes
     -----
-    Collective on ``comm``. All of these are raised on every rank. Where one rank fails alone, the others wait for it in
-    MPI for ever: it then says so on stderr and in ``summary.json``, and aborts all. On one rank nothing is aborted.
+    Collective on ``comm``. All of these errors are raised on every rank. A rank that fails alone prints the reason on
+    stderr, writes it to ``summary.json``, and aborts all, because the others would wait in MPI for ever. A run on a
+    single rank never aborts.
 
-    ``summary.json`` has the status "running" from the first file that is written to the end, then "converged" or why
+    ``summary.json`` has the status "running" from the first written file on, at the end "converged" or the reason why
     the run ended.
 
     Examples
@@ -125,20 +127,20 @@ def run(
         return result
 
 
-# Solvers whose PETSc objects must not be destroyed, because PETSc has failed.
+# Solvers whose PETSc objects must not be destroyed after an error of PETSc.
 _abandoned: list[Solver] = []
 
 
 @dataclass(frozen=True)
 class Restart:
-    """The checkpoint to go on from, and whether its case may declare something else."""
+    """The checkpoint to continue from, and True if its case may differ."""
 
     path: str | Path
     anyway: bool
 
 
 class _Run:
-    """One run: prepares the problem, marches, lets observers record each step, and finishes."""
+    """One run: prepares the problem, solves the steps, lets observers record them, and finishes."""
 
     signals: Signals
 
@@ -162,7 +164,7 @@ class _Run:
                     self.record.summary["unused_options"] = prepared.options.unused()
             except BaseException as error:
                 failure = ended_by(error, self.record, self.signals)
-                # After an error of PETSc its objects are in no order to be destroyed in, not by Python either.
+                # After an error of PETSc its objects cannot be destroyed safely, not by Python either.
                 if self.solver is not None and of_petsc(error):
                     _abandoned.append(self.solver)
                 else:
@@ -174,7 +176,7 @@ class _Run:
         return result
 
     def _free(self) -> None:
-        """Free what solver and problem hold outside Python."""
+        """Free memory of solver and problem outside Python."""
         if self.solver is not None and self.prepared is not None:
             self.solver.destroy()
             for field in self.prepared.problem.fields:
@@ -267,11 +269,13 @@ class _Run:
         return origin
 
     def _take_folder(self, origin: Origin | None) -> str:
-        """Make the folder that of this run; return what its files say they belong to."""
+        """Reserve the folder for this run; return the identifier of its files."""
         record = self.record
         own = origin is not None and origin.inside(record.folder)
         self.signals.patient = True
         if not own:
+            if is_root(record.comm) and (record.folder / "summary.json").exists():
+                self.report.say(f"the results of an earlier run go to {record.folder / 'earlier'}")
             try:
                 set_aside(record.comm, record.folder, None if origin is None else origin.path)
             except OutputError:
@@ -284,18 +288,18 @@ class _Run:
         return run
 
     def _finish(self, prepared: Prepared, solver: Solver, history: History) -> Result:
-        """Evaluate and check the results, write the summary, and print what a user should read."""
+        """Evaluate and check the results, write the summary, and print warnings."""
         case, record, report = self.case, self.record, self.report
         record.phases.now = "results"
         self.signals.patient = False
         with agreed(record.comm):
             results = named_numbers(case.results(history.columns)) if case.results is not None else {}
         if self.expect is not None:
-            # What one rank finds holds for all.
+            # An error on one rank applies to all.
             self.checks = record.comm.bcast(compared(self.expect, results) if is_root(record.comm) else None)
             record.summary["checks"] = recorded(self.checks)
         record.summary["unused_options"] = left = prepared.options.unused()
-        self.signals.deaf = True  # the run has ended; nothing takes that back
+        self.signals.deaf = True  # the run has ended, whatever follows
         summary = record.write("converged", results)
         if left:
             plural = "s" if len(left) > 1 else ""

@@ -1,4 +1,4 @@
-"""Signals end a run between Newton iterations, never in the middle of a write; a set-up they end at once."""
+"""Signals: end a run between Newton iterations, never during a write; end a set-up at once."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from pdpetsc.discrete.communicator import Comm, total
 
 # Ctrl-C, the batch system or `kill`, and the end of the terminal.
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# A signal that arrives again this soon is the same one, sent to a group and passed on by a parent [s].
+# A signal repeated within this time is the same one, sent to a group and forwarded by a parent [s].
 ECHO = 0.3
-# A rank that waits for another in MPI cannot react; after this long it is ended from outside [s].
+# A rank that waits in MPI cannot react; it is ended from outside after this time [s].
 PATIENCE = 2.0
 
 
 class Signals:
-    """What signals do at present.
+    """The current handling of signals.
 
     Attributes
     ----------
     patient : bool
-        Whether the first signal is only noted, for ``asked``; else it raises KeyboardInterrupt where the run is.
+        If True, the first signal is only recorded for ``asked``; otherwise it raises KeyboardInterrupt at once.
     deaf : bool
-        Whether signals do nothing, as while ranks find out which of them have failed.
+        If True, signals are ignored, for example while ranks determine which of them failed.
     """
 
     def __init__(self, comm: Comm) -> None:
@@ -43,7 +43,7 @@ class Signals:
         return int(total(self._comm, int(self._caught))) > 0
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """Take a signal: the first is noted or raises, a second one always raises."""
+        """Handle a signal: record the first or raise, always raise for a second."""
         now = time.monotonic()
         if self.deaf or (self._caught and now - self._at < ECHO):
             return
@@ -52,22 +52,22 @@ class Signals:
             raise KeyboardInterrupt
 
     def waits(self) -> bool:
-        """Return True if a signal that should end the run has not reached Python yet."""
+        """Return True if a signal has arrived that Python has not handled yet."""
         return not (self.patient or self.deaf or self._caught)
 
 
 @contextlib.contextmanager
 def watched(comm: Comm, stuck: Callable[[], None]) -> Iterator[Signals]:
-    """Take signals in the body.
+    """Handle signals in the body.
 
     Parameters
     ----------
     stuck : callable
-        Called in another thread where a signal should have ended this rank and it still waits for another one.
+        Called in another thread if this rank still waits for another one after a signal.
 
     Notes
     -----
-    Not collective. Outside the main thread signals stay as they are; so do those that are ignored, as under nohup.
+    Not collective. Outside the main thread, and for ignored signals as under nohup, handlers are not changed.
     """
     signals = Signals(comm)
     if threading.current_thread() is not threading.main_thread():
@@ -94,12 +94,12 @@ def watched(comm: Comm, stuck: Callable[[], None]) -> Iterator[Signals]:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Let signals that come in the body do after it what they do outside.
+    """Defer signals that arrive in the body until its end.
 
     Notes
     -----
-    Python drops what a handler raises inside a fork's own calls, and with it the signal. Not collective. Outside the
-    main thread, and where a signal has no handler in Python, nothing changes.
+    Python drops exceptions of handlers inside the calls of a fork, and thus the signal. Not collective. No effect
+    outside the main thread, and for signals without a handler in Python.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -118,7 +118,7 @@ def held() -> Iterator[None]:
 
 
 def _watch(read: int, signals: Signals, over: threading.Event, stuck: Callable[[], None]) -> None:
-    """Wait for a signal that Python does not get to handle."""
+    """Wait for a signal that Python cannot handle in time."""
     try:
         while numbers := os.read(read, 16):
             if any(number in SIGNALS for number in numbers) and not over.wait(PATIENCE) and signals.waits():

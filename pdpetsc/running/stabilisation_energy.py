@@ -1,4 +1,4 @@
-"""The share of the energy of a body that its zero-energy control stores."""
+"""The share of the zero-energy control in the energy of a body."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.post.solution import Solution
 from pdpetsc.solvers.protocol import Converged
 
-# A control that stores more than the first share of the energy is no small disturbance. Steps with less energy than
-# the second share of the largest are not judged: what a torn body is left with is round-off.
+# A run warns if the control stores more than the first share of the energy. Steps with less energy than the second
+# share of the largest are ignored: the energy of a separated body is round-off.
 MUCH, LITTLE = 0.2, 0.01
 
 
 class StabilisationEnergy(Observer):
-    """Records the energies of each step, and warns if the control stores much of them."""
+    """Records the energies of each step, and warns if the control stores a large share."""
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
         """Return the energies."""
@@ -27,23 +27,23 @@ class StabilisationEnergy(Observer):
         return {"control": largest_share(steps)}
 
     def warnings(self, steps: StepRecords) -> list[str]:
-        """Return the sentence about it."""
+        """Return the warning, if any."""
         return [note] if (note := largest_share(steps)["note"]) else []
 
 
 def largest_share(steps: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the largest share of the energy that the control stores in a run, when, and a sentence if that is much.
+    """Return the largest share of the control in the energy of a run, with its load parameter and a warning.
 
     Parameters
     ----------
     steps : iterable of mapping
         Step time ``t`` and ``energies`` of each step, with the energy of the material as ``strain`` and that of the
-        control as ``control`` [energy]. Steps without energies are left out.
+        control as ``control`` [energy]. Steps without energies are ignored.
 
     Returns
     -------
     dict
-        ``share`` [-], ``t`` and ``note``, which is empty where the control stores little.
+        ``share`` [-], ``t`` and ``note``, which is empty if the control stores little.
     """
     stored = []
     for step in steps:

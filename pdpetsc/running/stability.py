@@ -1,4 +1,4 @@
-"""Equilibria that are unstable or from which other branches lead away."""
+"""Unstable equilibria, and equilibria with several branches."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ class Stability(Observer):
     Parameters
     ----------
     finds_load : bool
-        The solver finds the load too; it is meant to find equilibria beyond the limit load.
+        True if the load factor is an unknown, so that equilibria beyond the limit load are intended.
     """
 
     def __init__(self, finds_load: bool) -> None:
         self._finds_load = finds_load
 
     def warnings(self, steps: StepRecords) -> list[str]:
-        """Return a sentence for unstable equilibria and one for branches."""
+        """Return a warning for unstable equilibria and one for branches."""
         unstable = [step["t"] for step in steps if step["negative_pivots"]]
         branching = [step["t"] for step in steps if step.get("growth", 0.0) > 1.0]
         found = []

@@ -1,4 +1,4 @@
-"""The scheme and the control of bodies for which a case declares neither, if the default does not suit them."""
+"""Scheme and control of bodies for which the general default is unsuitable, if a case declares neither."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from pdpetsc.problem.problem import Problem
 LOCKING = 9.0
 # Edge of a patch in spacings.
 PATCH = 2.0
-# Control of points that fail. With less of it, and with sub-horizons without control, a crack takes less than Gc.
+# Control of points that fail. With a weaker control, and with sub-horizons without control, a crack dissipates less
+# than Gc.
 OF_FAILING_POINTS = Silling(2.0)
 # Controls in proportion to the stiffness of the material, which ``ByShear`` scales with the shear modulus.
 BY_BULK = tuple(type(control) for control in CONTROLS.values() if control is not None)
 
 
 def lame_ratio(case: Case, dim: int) -> float:
-    """Return the largest ``lambda / mu`` at F = I that the gradients of a body see [-] (not collective).
+    """Return the largest ``lambda / mu`` at F = I of the materials of a body [-] (not collective).
 
-    ``kappa = lambda + 2 mu / dim``; for plane stress lambda is that of the plane, so that no Poisson's ratio locks.
-    0 for a bar and for materials of bonds.
+    ``kappa = lambda + 2 mu / dim``; in plane stress lambda is that of the plane, which never locks. 0 for a bar and for
+    materials of bonds.
     """
     if case.of_bonds or dim == 1:
         return 0.0
@@ -35,33 +36,32 @@ def lame_ratio(case: Case, dim: int) -> float:
 
 
 def poisson_ratio(lame: float) -> float:
-    """Return Poisson's ratio of an isotropic solid with this ``lambda / mu`` [-]."""
+    """Return Poisson's ratio of an isotropic solid from ``lambda / mu`` [-]."""
     return 0.5 * lame / (1.0 + lame)
 
 
 def takes_patches(case: Case, dim: int) -> bool:
-    """Return True if a body that locks has ``MeanDilatation`` by default (not collective)."""
+    """Return True if ``MeanDilatation`` is the default for a body that locks (not collective)."""
     if case.of_bonds or case.expands or case.damage is not None or dim == 1:
         return False
     return dim == 3 or all(law.plane != "stress" for law in case.laws)
 
 
 def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
-    """Return the case, with another scheme and control if it declares neither and the default does not suit it.
+    """Return the case, with a suitable scheme and control if it declares neither.
 
-    A body with ``PointDamage`` has ``Correspondence`` and ``Silling(2.0)``, with which a crack takes the declared
-    energy. A body that would lock has ``MeanDilatation`` and ``ByShear``, with patches that have edges of two spacings,
-    means over the volume of the body. A body whose bonds fail, that expands or that has a part in plane stress keeps
-    its scheme: ``locking_note`` says what to declare.
+    A body with ``PointDamage`` gets ``Correspondence`` and ``Silling(2.0)``, with which a crack dissipates the declared
+    energy. A body that would lock gets ``MeanDilatation`` and ``ByShear``, with patches of two mean spacings. Bodies
+    whose bonds fail, that expand, or with a part in plane stress are unchanged: ``locking_note`` has the advice.
 
     Parameters
     ----------
     comm : Comm
         The ranks.
     case : Case
-        What is declared.
+        The declared case.
     chunk : Chunk
-        The particles that this rank has made.
+        The particles created by this rank.
 
     Notes
     -----
@@ -81,7 +81,7 @@ def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
         weighted = chunk.volume @ spacings(chunk, case.particles.thickness) if suits else 0.0
     if not suits:
         return case
-    # Sums over ranks differ in their last digits, patches must not.
+    # Sums over ranks differ in their last digits; patches must not.
     spacing = float(total(comm, weighted) / total(comm, chunk.volume.sum()))
     patch = float(f"{PATCH * spacing:.9g}")
     control: ZeroEnergyControl = ByShear(Silling(0.5))
@@ -91,12 +91,12 @@ def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
 
 
 def locks(lame: float) -> bool:
-    """Return True if gradients with several points a particle lock at this ``lambda / mu``; nu = 0.45 does not."""
+    """Return True if schemes with several points per particle lock at this ``lambda / mu``; nu = 0.45 does not lock."""
     return lame > LOCKING * (1.0 + 1e-9)
 
 
 def words(case: Case, lame: float) -> str:
-    """Return the line of the log that says which scheme and control were chosen, and why."""
+    """Return the line of the log on the chosen scheme and control, with the reason."""
     if case.damage is not None:
         return f"default with PointDamage: scheme={case.scheme}, control={case.control}"
     return f"default at nu = {poisson_ratio(lame):.5g}: scheme={case.scheme}, control={case.control}"
@@ -105,8 +105,8 @@ def words(case: Case, lame: float) -> str:
 def locking_note(case: Case, problem: Problem) -> str:
     """Return the advice for a nearly incompressible body whose scheme or control locks; empty if none locks.
 
-    A scheme locks if it has several gradient points a particle and no patches, a control if its strength grows with the
-    bulk modulus.
+    A scheme locks if it has several gradient points per particle and no patches, a control if its strength grows with
+    the bulk modulus.
 
     Notes
     -----

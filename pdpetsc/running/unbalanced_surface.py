@@ -1,4 +1,4 @@
-"""How far supports that a uniform stress pushes apart are behind the stress of a nearly incompressible body."""
+"""Error of a nearly incompressible body by unbalanced forces of a uniform stress near supports."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.protocol import Solver
 
-# A material whose kappa is more times 2 mu is nearly incompressible: nu above 0.44.
+# A material with a larger ratio of kappa to 2 mu is nearly incompressible: nu above 0.44.
 STIFF = 4.0
-# An area is none below this share of the cell of its particle seen from its horizon; weights conform up to 1e-10.
+# Areas below this share of the cell of their particle are zero; conforming weights are exact to 1e-10.
 NONE = 1e-6
-# A displacement that a stress is differenced with, in spacings.
+# Step of the displacement for differences of the stress, in spacings.
 STEP = 1e-5
-# Above this share of the stress, or of the displacement, numbers are said to be wrong.
+# A run warns above this share of the stress, or of the displacement.
 WRONG = 0.05
-# So they are where a solver cannot tell that share and more particles are pushed than this share of those that are
-# held: beside the ends of a clamped edge some always are.
+# A run also warns if the solver cannot compute that share and the number of particles with unbalanced forces exceeds
+# this share of held particles: some are always beside the ends of a clamped edge.
 MANY = 0.2
 
 
 @dataclass(frozen=True)
 class Unbalanced:
-    """What the forces that a uniform stress leaves on free particles make of an equilibrium.
+    """Effect of the unbalanced forces of a uniform stress on free particles.
 
     Attributes
     ----------
     particles, held : int
-        How many free particles a uniform stress pushes, and how many particles supports hold.
+        Number of free particles with unbalanced forces, and of held particles.
     stress, displacement : float or None
-        What the solution would change by without these forces, to first order, over the stress and over the
-        displacement there, root mean squares over the volume [-]; None where the solver cannot tell.
+        First-order change of stress and displacement without these forces, relative root mean squares over the volume
+        [-]; None if the solver cannot compute it.
     """
 
     particles: int
@@ -58,14 +58,14 @@ class Unbalanced:
 
 
 class UnbalancedForces(Observer):
-    """Estimates what unbalanced forces make of the last state of a nearly incompressible body."""
+    """Estimates the effect of unbalanced forces on the last state of a nearly incompressible body."""
 
     def __init__(self, case: Case) -> None:
         self._case = case
         self._found: Unbalanced | None = None
 
     def judge(self) -> None:
-        """Solve for their effect."""
+        """Solve for the effect of unbalanced forces."""
         observed = self.observed
         problem, last, origin = observed.problem, observed.last, observed.origin
         if last.step == (0 if origin is None else origin.start.step):
@@ -83,14 +83,14 @@ class UnbalancedForces(Observer):
         return {"unbalanced": asdict(self._found) | {"note": "".join(self.warnings(steps))}}
 
     def warnings(self, steps: StepRecords) -> list[str]:
-        """Return the sentence about it if numbers are wrong."""
+        """Return the warning if the result is unreliable."""
         return [words(self._found)] if self._found is not None and self._found.wrong else []
 
 
 def nearly_incompressible(case: Case, dim: int) -> bool:
-    """Return True if a case has a material that keeps its volume, or patches that are meant for one (not collective).
+    """Return True if a case has a nearly incompressible material, or patches for one (not collective).
 
-    Those whose bonds fail, with a temperature besides, and of bonds are not looked at.
+    False for bodies with failing bonds, with a temperature as unknown, and with materials of bonds.
     """
     if case.of_bonds or case.damage is not None or case.heat is not None or dim == 1:
         return False
@@ -100,16 +100,16 @@ def nearly_incompressible(case: Case, dim: int) -> bool:
 
 
 def unbalanced_areas(case: Case, problem: Problem) -> Float:
-    """Return the forces of a uniform unit pressure on free unknowns of the own particles (n_owned, dim) [area].
+    """Return the forces of a uniform unit pressure on free unknowns of the owned particles (n_owned, dim) [area].
 
-    ``d_k = sum_p W_p g_pk - sum_f N_f(x_k) a_f`` over the facets whose particle is not held across them: the surface
-    there is loaded, and the rest is held by supports. Where it is zero a uniform stress is in equilibrium. Where the
-    facets are not known only particles are counted that have a held one in their family.
+    ``d_k = sum_p W_p g_pk - sum_f N_f(x_k) a_f`` over the facets whose particle is not held along the normal: these are
+    loaded, the others held by supports. If it is zero, a uniform stress is in equilibrium. If the facets are unknown,
+    only particles with a held one in their family are included.
 
     Parameters
     ----------
     case : Case
-        Whose particles may know their surface.
+        The case; its particles may have a surface.
     problem : Problem
         The problem of that case.
 
@@ -137,10 +137,10 @@ def unbalanced_areas(case: Case, problem: Problem) -> Float:
 
 
 def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: float) -> Unbalanced:
-    """Return what the forces ``P d`` of ``unbalanced_areas`` make of an equilibrium ``u`` at step time ``t``.
+    """Compute the effect of the forces ``P d`` of ``unbalanced_areas`` on an equilibrium ``u`` at ``t``.
 
-    The tangent answers them with the displacements by which the solution would change without them. Where a body can
-    only be compressed that is exact: the share of the stress that is lost.
+    A solve with the tangent yields the change of the displacements without these forces. For a uniformly compressed
+    body it is exactly the lost share of the stress.
 
     Notes
     -----
@@ -155,7 +155,7 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
     P = problem.material_term.first_piola_stress(state).copy()
     force = np.zeros_like(u)
     force[:n] = np.einsum("kij,kj->ki", P, areas)
-    # The tangent of what has just flowed is elastic.
+    # The tangent of a material that has just flowed is elastic.
     found = None if problem.material_term.has_history else solver.response(u, t, force)
     if found is None:
         return Unbalanced(pushed, held, None, None)
@@ -179,7 +179,7 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
 
 
 def words(found: Unbalanced) -> str:
-    """Return the sentence that a user must not miss."""
+    """Return the warning."""
     if found.stress is None or found.displacement is None:
         much = "how far that moves them cannot be told here"
     else:
@@ -196,7 +196,7 @@ def words(found: Unbalanced) -> str:
 
 
 def _surface(case: Case, problem: Problem) -> Surface | None:
-    """Return the surface of the body; None where its particles do not know it, or share families (collective)."""
+    """Return the surface of the body; None if it is unknown or families are shared (collective)."""
     body = problem.body
     if body.surface is not None or body.families.lattice is not None or case.cracks:
         return body.surface

@@ -1,7 +1,7 @@
-"""Solvers: Newton's method in load steps, path following, from event to event, dynamic relaxation.
+"""Solvers: Newton's method in load steps, path following, event-driven solver, dynamic relaxation.
 
-``table`` says which class solves what a case declares; ``protocol`` is what all of them offer.
+``table`` maps declared solvers to classes; ``protocol`` is their common interface.
 """
 
-# PETSc is started there, before any file of this room imports it.
+# Start PETSc before a file of this folder imports it.
 import pdpetsc.petsc  # noqa: F401

@@ -1,4 +1,4 @@
-"""The energy balance of a step along a path with damage: nothing may come out of the body that was not put in."""
+"""Energy balance of a step along a path with damage: the body must not release more energy than was supplied."""
 
 from __future__ import annotations
 
@@ -14,48 +14,48 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 from pdpetsc.solvers.protocol import StepResult
 
-# The dissipated energy may have fallen by this share of the largest energy that the body has stored so far: gradients
-# of fewer bonds may store more at the same displacement. Where bonds of gradients soften, or heal, the forces have no
-# potential even between two changes of the damage, and what is stored is no more than an estimate.
+# Tolerated decrease of the dissipated energy, as a share of the largest stored energy so far. Gradients of fewer bonds
+# may store more energy at the same displacement. If bonds of gradients soften or regain force, the forces have no
+# potential even at constant damage, and the stored energy is an estimate.
 SHARE, SHARE_WITHOUT_POTENTIAL = 0.1, 1.0
-# Names under which a checkpoint keeps the largest stored energy of the run, and by how much the dissipated energy is
-# below the largest one [energy].
+# Names in a checkpoint of the largest stored energy of the run, and of the decrease of the dissipated energy below its
+# largest value [energy].
 LARGEST, FALLEN = "largest_energy", "fallen_energy"
 
 
 def judged(result: StepResult, wrong: str | None) -> StepResult:
-    """Return the outcome of a step, which has not converged where something is wrong with its energy."""
+    """Return the outcome of a step, marked as not converged if its energy is wrong."""
     return result if wrong is None else replace(result, converged=False, reason=wrong)
 
 
 class EnergyBalance:
-    """External work less stored energy less what the laws of the bonds dissipate, of one step after the other.
+    """Compute external work minus stored energy minus dissipation of the damage laws, step by step.
 
-    Work is that of the trapezoidal rule over the equilibria that a step passes through (``pass_by``), which is exact
-    where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of
-    the changes of forces and displacements is what the rule may be wrong by. A load step may pass a
-    peak of the load that neither of its ends shows, so load steps are not judged.
+    The work is that of the trapezoidal rule over the equilibria that a step passes (``pass_by``). The rule is exact if
+    forces are linear between two of them. If materials or softening bonds make them nonlinear, its error estimate is
+    half of the product of the changes of forces and displacements. A load step may pass a peak of the load that neither
+    of its ends shows, so load steps are not checked.
 
     Parameters
     ----------
     problem : Problem
-        Whose energies they are.
+        The problem.
     start : State
-        Where the first step begins, in equilibrium.
+        Equilibrium at which the first step begins.
     resume : mapping of str to float
-        What a checkpoint keeps.
+        Numbers of a checkpoint.
 
     Attributes
     ----------
     judges : bool
-        Whether there is anything to judge.
+        Whether the balance is checked.
     work : float
         External work since the last ``keep`` [energy].
 
     Notes
     -----
-    Nothing is judged where bonds do not fail, and where a term of the case gives no energy. Construction and every
-    method are collective but where it says otherwise.
+    The balance is not checked if bonds do not fail, or if a term of the case defines no energy. Construction and every
+    method are collective unless stated otherwise.
     """
 
     def __init__(self, problem: Problem, start: State, resume: Mapping[str, float]) -> None:
@@ -74,11 +74,11 @@ class EnergyBalance:
 
     @property
     def resume(self) -> dict[str, float]:
-        """Return what a checkpoint keeps (not collective)."""
+        """Return the numbers for a checkpoint (not collective)."""
         return {LARGEST: self._largest, FALLEN: self._fallen}
 
     def pass_by(self, state: State) -> None:
-        """Add the work from the equilibrium before to this one, with the damage that it has now."""
+        """Add the work from the last equilibrium to this one, with its current damage."""
         u, force = state.u, self._acting(state)
         moved = u - self._u
         mean, change = 0.5 * (force + self._force), 0.5 * (force - self._force)
@@ -88,7 +88,7 @@ class EnergyBalance:
         self._u, self._force = u, force
 
     def broken_by(self, state: State) -> str | None:
-        """Return in words what is wrong with a step that ends at the state last passed; None where nothing is."""
+        """Return the reason, in words, for rejecting a step that ends at the last passed state; None if it balances."""
         if not self.judges:
             return None
         self._found = stored, by_laws = self._held(state)
@@ -103,24 +103,24 @@ class EnergyBalance:
         )
 
     def keep(self) -> None:
-        """Begin the next step where the last one ended (not collective)."""
+        """Begin the next step at the end of the last one (not collective)."""
         self.work, self._error = 0.0, 0.0
         self._kept, self._energy = (self._u, self._force), self._found
         self._largest = max(self._largest, self._energy[0])
         self._fallen = self._falls
 
     def go_back(self) -> None:
-        """Begin the step again (not collective)."""
+        """Restart the step (not collective)."""
         self.work, self._error = 0.0, 0.0
         self._u, self._force = self._kept
 
     def _acting(self, state: State) -> Float:
-        """Return the forces of loads and supports (n_rows, dim) [force]."""
+        """Compute the forces of loads and supports (n_rows, dim) [force]."""
         inside = self._problem.internal_force(state, of_solver=False)
         loads = self._problem.external_force(state)
         return loads if inside is None else np.where(self._problem.supports.reacting, inside, loads)
 
     def _held(self, state: State) -> tuple[float, float]:
-        """Return the energy that the body stores, and what the laws of its bonds have dissipated [energy]."""
+        """Return the stored energy of the body, and the energy dissipated by the damage laws [energy]."""
         by_laws = self._problem.material_term.dissipated_energy()
         return sum(self._problem.energies(state).values()), 0.0 if by_laws is None else by_laws

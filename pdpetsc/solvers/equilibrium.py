@@ -1,4 +1,4 @@
-"""The residual of a load step, its matrix, and when it counts as zero: what the solvers on SNES share."""
+"""Residual of a load step, its matrix, and its convergence criterion: common parts of the solvers on SNES."""
 
 from __future__ import annotations
 
@@ -19,63 +19,63 @@ from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.protocol import StepResult
 
-# The residual cannot fall below about this multiple of the round-off of K u.
+# The residual cannot decrease below about this multiple of the round-off of K u.
 FLOOR = 20.0
-# A residual at the floor that an iteration did not lower by this factor has stagnated.
+# A residual at the floor has stagnated if an iteration did not reduce it by this factor.
 STAGNATION = 0.5
-# Largest number of further solves, each with the springs of loose pieces moved along, until they have no force.
+# Largest number of additional solves, each with moved springs of loose particles, until the springs have no force.
 RESTS = 5
-# A norm that is computed once more, in another order of the sums, may differ by this factor.
+# Tolerance on a norm that is computed again with another order of summation.
 SLACK = 1.0 + 1e-6
-# Why a piece on which a load acts is not in equilibrium.
+# Reason for no equilibrium of a loaded loose piece.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
-# A solve under loads that fails so many times further from its start than its first linear answer has run away.
+# A failed solve under loads has run away if it moved this multiple of its first linear response.
 RUNAWAY = 100.0
-# What that means.
+# Interpretation of a run-away solve.
 BEYOND_LIMIT = "the displacement grew without bound, so that the load is likely above the limit load of the body"
-# Why a state in which forces balance does not count.
+# Reason for rejecting a state in which forces balance.
 TOO_FAR = "the load would move the body by more than its own size in one step"
 # Largest number of halvings of a Newton step to keep det F > 0.
 HALVINGS = 40
-# A step with no more iterations may be followed by a longer one.
+# A step with at most this number of iterations is easy.
 EASY_ITERATIONS = 6
 
 
 class Equilibrium:
-    """``r(u) = f_int(u) - f_ext`` where free, ``stiffness (u - prescribed)`` where prescribed, and its tangent.
+    """Compute ``r(u) = f_int(u) - f_ext`` if free, ``stiffness (u - prescribed)`` if prescribed, and its tangent.
 
     Parameters
     ----------
     problem : Problem
         Terms and supports.
     assembler : Filler
-        What fills the matrix.
+        Object that fills the matrix.
 
     Attributes
     ----------
     free : (n_rows, dim) bool
         Degrees of freedom that are neither prescribed nor tied.
     supported : (n_rows, dim) bool
-        Those that are prescribed.
+        Degrees of freedom that are prescribed.
     t : float
-        Step time of the present solve, set by ``impose`` [-].
+        Load parameter of the current solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
-        The prescribed unknowns [length] there, and the loads where the residual was last computed [force].
+        Prescribed unknowns at that load parameter [length], and loads at the last evaluation of the residual [force].
     scales : Scales
-        Units by which displacements, forces and the tangent are divided for PETSc.
+        Units of displacements, forces and tangent in PETSc.
     tangent : PetscTangent
-        The tangent at the displacement for which it was last updated.
+        Tangent at the displacement of its last update.
     norms : list of float
-        Residual norms of the present solve [force].
+        Residual norms of the current solve [force].
     unbalanced : (n_rows, dim) float64 or None
-        Internal less external forces where the present solve begins [force]; None if they are undefined there.
+        Internal minus external forces at the start of the current solve [force]; None if they are undefined there.
     resisted : (n_rows, dim) float64
-        Forces of the tangent there against the change of the prescribed unknowns, with all others held [force].
+        Forces of the tangent at the start against the change of the prescribed unknowns, with all others held [force].
     reference : float
-        Larger norm of external forces and of reactions at the last check, at most that of the forces that the step
-        involves [force].
+        Larger norm of external forces and of reactions at the last check, at most the sum of the forces in the step
+        [force].
     reason : str
-        Why the last check ended the solve.
+        Reason of the last check for ending the solve.
 
     Notes
     -----
@@ -96,7 +96,7 @@ class Equilibrium:
             largest(comm, float(a.max(initial=-np.inf))) - smallest(comm, float(a.min(initial=np.inf))) for a in x.T
         ]
         least = smallest(comm, float(spacing.min(initial=np.inf)))
-        # The size of the body [length], and over the smallest distance of its particles [-].
+        # Size of the body [length], and its ratio to the smallest distance of particles [-].
         self._size = float(np.linalg.norm(sides)) + least
         self._slender = self._size / least
         self.scales = scales_of(problem.body, problem.material_term)
@@ -113,10 +113,10 @@ class Equilibrium:
         self._loads: Float | None = None
         self._start = np.zeros(fixed.shape)
         self._loads_at_start = np.zeros(fixed.shape)
-        # Root mean square of the displacement that iterates of the present solve have added: the first, the largest.
+        # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
         self._lost = self._loaded = False
-        # Whether damage was held and how often bonds had broken where the tangent was last updated.
+        # Whether damage was held, and the number of rebuilds, at the last update of the tangent.
         self._factored_with = True, 0
 
     def destroy(self) -> None:
@@ -124,21 +124,21 @@ class Equilibrium:
         self.tangent.destroy()
 
     def impose(self, t: float, prescribed: Float | None = None, loads: Float | None = None) -> None:
-        """Take the conditions of a step time, or prescribed unknowns and loads that are known."""
+        """Set the conditions of a load parameter, or known prescribed unknowns and loads."""
         self.t = t
         self.prescribed = self.problem.supports.prescribed(t) if prescribed is None else prescribed
         self._loads = loads
 
     def at_prescribed(self, x: Float) -> Float:
-        """Return unknowns that satisfy the constraints (n_rows, dim), from the independent ones."""
+        """Compute unknowns that satisfy the constraints (n_rows, dim) from the independent ones."""
         return self.problem.supports.completed(x.reshape(self.free.shape), self.prescribed)
 
     def state(self, x: Float) -> State:
-        """Return the state at unknowns with the prescribed ones at their values."""
+        """Return the state at unknowns with the prescribed values inserted."""
         return self.problem.state(self.at_prescribed(x), self.t)
 
     def residual(self, x: Float) -> Float | None:
-        """Return the residual (n_rows, dim) [force]; None on all ranks where the displacement is inadmissible."""
+        """Compute the residual (n_rows, dim) [force]; None on all ranks if the displacement is inadmissible."""
         values = x.reshape(self.free.shape)
         with stage(RESIDUAL):
             state = self.state(values)
@@ -148,26 +148,26 @@ class Equilibrium:
             self.external = self.problem.external_force(state) if self._loads is None else self._loads
         residual = force - self.external
         self._reaction = np.where(self.free, 0.0, residual)
-        # Tied components follow the independent ones, so that nothing is left of them.
+        # Tied components follow the independent ones, so their residual is zero.
         off = np.where(self.supported, self.scales.stiffness * (values - self.prescribed), 0.0)
         return np.where(self.free, self.problem.supports.reduced(residual), off)
 
     def held_in_place(self, step: Float, x: Float, solve: Callable[[Float], Float], rtol: float) -> Float:
-        """Return a step of Newton's method without the motion that nothing but the springs of loose particles resists.
+        """Remove from a Newton step the motion that only the springs of loose particles resist.
 
-        With their stiffness S the tangent is K + S, and ``z = (K + S)^-1 S step`` is the part of a step in the null
-        space of K: rigid motions of free pieces, and mechanisms of the bonds that are left. Forces ``S z`` caused it.
-        Where they count as zero they are round-off, which S is far too soft to resist, and z is removed. Where they do
-        not, a load acts on what has come free.
+        With the stiffness S of the springs the tangent is K + S. ``z = (K + S)^-1 S step`` is the part of the step in
+        the null space of K: rigid motions of free pieces, and mechanisms of the remaining bonds. Forces ``S z`` cause
+        it. If they are within the tolerance they are round-off, which S is far too soft to resist, and z is removed.
+        Otherwise a load acts on a loose piece, and the step is unchanged.
 
         Parameters
         ----------
         step : (n,) float64
-            Displacements [length], and after them whatever else ``solve`` finds.
+            Displacements [length], followed by the other unknowns of ``solve``.
         x : (n_rows, dim) float64
-            The unknowns to which the step is added [length].
+            Unknowns to which the step is added [length].
         solve : callable
-            Returns the step that the tangent answers forces (n_rows, dim) [force] with.
+            Solves the tangent for forces (n_rows, dim) [force], and returns the step.
         """
         springs = self.problem.springs
         if springs is None or not springs.active:
@@ -182,29 +182,29 @@ class Equilibrium:
         return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
-        """Update the tangent to that at ``x`` after a linear solve of some ``effort`` (``PetscTangent.update``)."""
+        """Update the tangent to ``x``; ``effort`` is that of the last linear solve (``PetscTangent.update``)."""
         with stage(TANGENT):
             self.update(self.state(x), effort)
 
     def update(self, state: State, effort: float | None = None) -> None:
-        """Update the tangent to that at a state (``PetscTangent.update``)."""
+        """Update the tangent to a state (``PetscTangent.update``)."""
         damage = self.problem.damage
         held = damage is not None and damage.softens and damage.frozen
         self._factored_with = held, self.problem.rebuilds
         self.tangent.update(state, effort)
 
     def forget(self) -> None:
-        """Let the next ``update`` make the tangent anew; what was factored tells nothing (not collective)."""
+        """Force the next ``update`` to rebuild the tangent, and discard the pivots of the factor (not collective)."""
         self._factored_with = True, 0
         self.tangent.forget()
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
-        """Return the part of a Newton step that keeps det F > 0: 1, halved as often as needed.
+        """Return the fraction of a Newton step that keeps det F > 0: 1, halved as often as needed.
 
         Parameters
         ----------
         moved : callable
-            The displacement (n_rows, dim) after a part of the step.
+            Returns the displacement (n_rows, dim) after a fraction of the step.
         """
         part = 1.0
         if self.problem.linear:
@@ -216,7 +216,7 @@ class Equilibrium:
         return part
 
     def verdict(self, x: Float, iteration: int, residual: float, rtol: float) -> int | None:
-        """Return PETSc's reason to end where a residual norm [force] counts as zero or is no number, else None."""
+        """Return PETSc's reason if a residual norm [force] is within the tolerance or not finite, else None."""
         reason = PETSc.SNES.ConvergedReason
         self.norms.append(residual)
         if not np.isfinite(residual):
@@ -233,10 +233,10 @@ class Equilibrium:
         return None
 
     def judge(self, x: Float, rtol: float) -> bool:
-        """Return whether ``x`` is in equilibrium, whatever the reason for which a solve has ended.
+        """Return True if ``x`` is in equilibrium, for any reason for which a solve has ended.
 
-        The residual is computed here: PETSc may have ended on an absolute tolerance, and the norm that it keeps may be
-        that of another vector, such as a preconditioned residual.
+        The residual is computed here. PETSc may have ended on an absolute tolerance, and its norm may be that of
+        another vector, such as a preconditioned residual.
         """
         residual = self.residual(x)
         if residual is None:
@@ -247,13 +247,13 @@ class Equilibrium:
         return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol)) and not self._lost
 
     def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
-        """Return below which norm a residual counts as zero, and the norm of its round-off [force].
+        """Return the tolerance of the residual norm, and the norm of its round-off [force].
 
-        The residual is compared with the loads and reactions at ``x``. In an iterate that runs away they are of any
-        size. In a nonlinear body they count therefore up to the sum of the forces that the step involves: loads,
-        unbalanced forces and reactions where it begins, and what resists the change of the prescribed unknowns. That
-        sum is one over the particles: a few supports may carry a load that is spread over many. Round-off grows with
-        the displacement, which ``_note_move`` bounds.
+        The residual is compared with the loads and reactions at ``x``. In a diverging iterate they can have any size.
+        In a nonlinear body the reference is therefore at most the sum of the forces in the step. These are loads,
+        unbalanced forces and reactions at its start, and the resistance against the change of the prescribed unknowns.
+        The sum is taken over particles, since a few supports may carry a distributed load. Round-off grows with the
+        displacement, which ``_note_move`` bounds.
         """
         values = self.at_prescribed(x)
         change = values - self._start
@@ -271,7 +271,7 @@ class Equilibrium:
             [float((one**2).sum()) for one in squares]
             + [float(np.abs(force).sum()) for force in (loads, begin, resisted, held)],
         )
-        # The undeformed body may be one in which a law has no stress.
+        # A law may have no stress in the undeformed body.
         sums = np.where(np.isfinite(sums), sums, 0.0)
         *forces, of_round_off, of_change, of_jump = np.sqrt(sums[: len(squares)]).tolist()
         of_step = sums[len(squares) :]
@@ -282,21 +282,21 @@ class Equilibrium:
         return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * of_round_off
 
     def _note_move(self, moved: float, jump: float) -> None:
-        """Note how far an iterate is from the start of its solve, and whether it is too far to be an equilibrium.
+        """Store the distance of an iterate from the start of its solve, and whether it is too large for an equilibrium.
 
-        A nonlinear body that loads move by more than its own size in one step has run away; prescribed displacements
-        may turn it with a lever as long as its size over the distance of two supports. Where springs hold loose
-        particles ``at_rest`` tells.
+        A nonlinear body has run away if loads move it by more than its own size in one step. Prescribed displacements
+        may rotate it with a lever arm of its size over the distance of two supports. If springs hold loose particles,
+        ``at_rest`` decides.
         """
         first, most = self._moved
         self._moved = first or moved, max(most, moved)
         self._lost = moved > self._size + self._slender * jump and self.resting and not self.problem.linear
 
     def negative_pivots(self, snes: PETSc.SNES, ksp: PETSc.KSP) -> int | None:
-        """Return the negative pivots of the tangent that was last solved with; None where its factor does not tell.
+        """Return the negative pivots of the last tangent that was solved with; None if they are unknown.
 
-        With damage held the secant was factored, which tells nothing of stability. Nor does a tangent from before bonds
-        broke.
+        With damage held, the factor is that of the secant, which does not determine stability. A tangent from before
+        bonds broke does not either.
         """
         known = self.problem.symmetric and self._factored_with == (False, self.problem.rebuilds)
         if not known or not refactors(snes):
@@ -304,15 +304,15 @@ class Equilibrium:
         return negative_pivots(ksp, self.tangent.mat)
 
     def interrupted(self) -> int:
-        """Return PETSc's reason to end for a solve that a signal stops (not collective)."""
+        """Return PETSc's reason for a solve that a signal stops (not collective)."""
         reason = PETSc.SNES.ConvergedReason
         self.reason = "a signal asked the run to stop"
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
     def begin(self, u: Float) -> bool:
-        """Start to record a solve from ``u``, compute the forces that it involves, and hold loose particles there.
+        """Start to record a solve from ``u``, compute its initial forces, and hold loose particles there.
 
-        Return whether the preconditioner has a new ``Mat``, as it may after bonds have broken.
+        Return True if the preconditioner has a new ``Mat``, as it may after bonds have broken.
         """
         self.norms, self.reason, self._start, self._moved = [], "", u, (0.0, 0.0)
         if self.problem.springs is not None:
@@ -322,21 +322,21 @@ class Equilibrium:
         force = self.problem.internal_force(state)
         self._loads_at_start = self.problem.external_force(state) if self._loads is None else self._loads
         self.unbalanced = None if force is None else force - self._loads_at_start
-        # Until the residual is computed, forces are compared with those of the start, not of the solve before.
+        # Until the residual is computed, use the forces at the start of this solve, not those of the solve before.
         self.external = self._loads_at_start
         self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
         return renewed
 
     def resist(self, change: Float) -> None:
-        """Compute what resists a change of the prescribed unknowns (n_rows, dim) [length] where the solve begins."""
+        """Compute the forces against a change of the prescribed unknowns (n_rows, dim) [length] at the start."""
         self.resisted = np.zeros_like(change)
         if self.unbalanced is not None and int(total(self.problem.body.cloud.comm, np.count_nonzero(change))):
             self.resisted += self.problem.linearised(self.problem.state(self._start, self.t))(change)
 
     def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
-        """Return how the solve went, with PETSc's reasons to end of SNES and KSP (not collective).
+        """Return the outcome of the solve, from the reasons of SNES and KSP (not collective).
 
-        ``converged`` is whether the residual counts as zero (``judge``).
+        ``converged`` states whether the residual is within the tolerance (``judge``).
         """
         iterations = max(len(self.norms) - 1, 0)
         words = self.reason or _words(reason, linear_reason)
@@ -360,7 +360,7 @@ class Equilibrium:
 
     @property
     def resting(self) -> bool:
-        """Return whether no springs hold loose particles (not collective)."""
+        """Return True if no springs hold loose particles (not collective)."""
         return self.problem.springs is None or not self.problem.springs.active
 
     def move_springs(self, u: Float) -> None:
@@ -369,9 +369,9 @@ class Equilibrium:
             self.problem.springs.move(u)
 
     def at_rest(self, x: Float, rtol: float) -> bool:
-        """Return whether forces balance at ``x`` without the springs of loose particles; where not, ``reason`` says so.
+        """Return True if forces balance at ``x`` without the springs of loose particles; else set ``reason``.
 
-        A load on a piece that has come free is held by nothing else, however far it moves.
+        A load on a loose piece is balanced by nothing else, however far the piece moves.
         """
         springs = self.problem.springs
         if springs is None or not springs.active:
@@ -387,9 +387,9 @@ class Equilibrium:
 def read_options(
     destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP, equip: Callable[[], None] = lambda: None
 ) -> None:
-    """Give solvers their options, then ``equip`` them (collective).
+    """Set the options of solvers, then call ``equip`` (collective).
 
-    Where an option is refused, ``destroy`` and raise CaseError.
+    If an option is refused, call ``destroy`` and raise CaseError.
     """
     try:
         for solver in solvers:
@@ -406,7 +406,7 @@ def read_options(
 
 
 def _words(reason: int, linear: int) -> str:
-    """Return PETSc's reason for the end of a solve in words, that of the linear solver where it was to blame."""
+    """Return PETSc's reason for the end of a solve in words; that of the linear solver if it failed."""
     names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
     name: str = names.get(reason, str(reason))
     if name == "DIVERGED_LINEAR_SOLVE":

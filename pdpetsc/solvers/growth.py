@@ -1,4 +1,4 @@
-"""How a deviation from an equilibrium grows while damage settles."""
+"""Growth of a deviation from an equilibrium while damage settles."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ POWERS, RTOL = 20, 1e-3
 def growth_of_deviation(
     problem: Problem, tangent: PetscTangent, ksp: PETSc.KSP, scale: float, u: Float, t: float
 ) -> float:
-    """Return the factor by which a deviation grows from sweep to sweep at an equilibrium with settled damage [-].
+    """Compute the factor by which a deviation grows from sweep to sweep at an equilibrium with settled damage [-].
 
-    A sweep maps a deviation v of the displacement to ``v - K^-1 L v``, with the tangent K for damage that is held and
-    the tangent L for which all bonds at their largest drive go on losing force. Power iterations give the largest
-    factor of that map. It is above 1 if and only if a symmetric L has a negative eigenvalue.
+    A sweep maps a deviation v of the displacement to ``v - K^-1 L v``. K is the tangent with damage held. L is the
+    tangent in which all bonds at their largest drive continue to lose force. Power iterations give the largest factor
+    of that map. It is above 1 if and only if a symmetric L has a negative eigenvalue.
 
     Parameters
     ----------
     problem : Problem
         A problem whose bonds soften.
     tangent : PetscTangent
-        Becomes K, with damage held; the caller forgets it.
+        Updated to K, with damage held; the caller must forget it.
     ksp : KSP
-        The linear solver of the tangent.
+        Linear solver of the tangent.
     scale : float
-        The stiffness that is 1 in the tangent [force / length].
+        Unit of stiffness in the tangent [force / length].
     u : (n_rows, dim) float64
         Unknowns [length].
     t : float
-        Step time [-].
+        Load parameter [-].
 
     Notes
     -----
-    Collective. The number is a lower bound, which factors close to the largest one lower by a few per cent.
+    Collective. The result is a lower bound. Other factors close to the largest one lower it by a few per cent.
     """
     damage, supports = problem.damage, problem.supports
     free = ~supports.fixed

@@ -1,4 +1,4 @@
-"""Heat conduction in every load step: before the equilibrium, or as unknowns beside the displacement."""
+"""Heat conduction in load steps: solved before the equilibrium, or together with the displacement."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pdpetsc.terms.heat import Heat
 
 
 class HeatSystem(NamedTuple):
-    """What the temperature of a load step solves, ``A T = b``.
+    """Store the system ``A T = b`` of the temperature of a load step.
 
     Attributes
     ----------
     matrix : ScalarMatrix
         A.
     b : (n_owned,) float64
-        [power]
+        Right-hand side [power].
     start : (n_owned,) float64
-        The temperature before, with what conditions prescribe.
+        Last temperature, with the prescribed values inserted.
     t : float
-        Step time [-].
+        Load parameter [-].
     """
 
     matrix: ScalarMatrix
@@ -36,23 +36,24 @@ class HeatSystem(NamedTuple):
 
 
 class HeatSteps:
-    """The temperature of each load step, ``C (T - T_0) / dt + K (w T + (1 - w) T_0) = w Q + (1 - w) Q_0``.
+    """Solve ``C (T - T_0) / dt + K (w T + (1 - w) T_0) = w Q + (1 - w) Q_0`` for the temperature of each load step.
 
-    ``w`` is 1 for the backward Euler rule and 1/2 for Crank and Nicolson's; without a duration it is ``K T = Q``. ``K``
-    is that of the bonds that the step begins with. Staggered, the temperature is solved for before the equilibrium;
-    monolithic, it is an unknown of Newton's method beside the displacement (``MonolithicSolver``).
+    ``w`` is 1 for the backward Euler rule and 1/2 for the Crank-Nicolson rule. Without a duration the equation is ``K T
+    = Q``. ``K`` is that of the bonds at the start of the step. With staggered coupling the temperature is solved before
+    the equilibrium. With monolithic coupling it is an unknown of Newton's method besides the displacement
+    (``MonolithicSolver``).
 
     Parameters
     ----------
     heat : Heat
-        What flows, what is stored, what enters.
+        Conduction, capacity and sources.
     options : Options
-        PETSc's of the run.
+        PETSc options of the run.
 
     Attributes
     ----------
     system : HeatSystem or None
-        The system of the present load step.
+        System of the current load step.
 
     Notes
     -----
@@ -68,11 +69,11 @@ class HeatSteps:
 
     @property
     def monolithic(self) -> bool:
-        """Return True if the temperature is solved for together with the displacement (not collective)."""
+        """Return True if the temperature is solved together with the displacement (not collective)."""
         return self.heat.declared.coupling == "monolithic"
 
     def advance(self, before: float, t: float) -> None:
-        """Set up the system of the step from ``before`` to ``t``; staggered, go to its solution."""
+        """Set up the system of the step from ``before`` to ``t``; solve it if staggered."""
         self.system = self._system(before, t)
         if self.monolithic:
             self.heat.field.take(self.system.start)
@@ -87,7 +88,7 @@ class HeatSteps:
         T_0 = heat.field.before
         b = heat.sources(t)
         if dt:
-            # A T_0 = (C / dt + w K) T_0, of which the rest of what is known follows.
+            # A T_0 = (C / dt + w K) T_0, which determines the remaining known terms.
             stored = heat.capacity / dt * T_0
             b = w * b + stored
             if w < 1.0:
@@ -98,11 +99,11 @@ class HeatSteps:
         return HeatSystem(matrix, b, start, t)
 
     def solve(self) -> None:
-        """Go to the temperature of the present step."""
+        """Set the temperature to the solution of the current step."""
         self.heat.field.take(self.solution())
 
     def solution(self) -> Float:
-        """Return the temperature that the system of the present step has for itself (n_owned,).
+        """Return the temperature that solves the system of the current step (n_owned,).
 
         Raises
         ------
@@ -120,7 +121,7 @@ class HeatSteps:
         return temperature
 
     def revert(self) -> None:
-        """Go back to the temperature of the last converged step."""
+        """Restore the temperature of the last converged step."""
         self.heat.revert()
 
     def destroy(self) -> None:
@@ -130,7 +131,7 @@ class HeatSteps:
             self._made = None
 
     def _matrix(self, dt: float) -> ScalarMatrix:
-        """Return ``C / dt + w K``, made once for all steps as long and with the same bonds."""
+        """Return ``C / dt + w K``, cached for steps of the same length with the same bonds."""
         heat = self.heat
         broken = heat.broken
         if self._stiff is None or self._stiff[0] != broken:

@@ -1,4 +1,4 @@
-"""Load stepping: steps that fail are halved, and steps grow after easy ones."""
+"""Load stepping: failed steps are halved, and steps grow after easy ones."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import DamageModel
 from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
 
-# Step times that differ by less are the same.
+# Load parameters that differ by less are equal.
 SAME_TIME = 1e-9
-# Name under which a checkpoint keeps the size of the next load step.
+# Name of the next load step in a checkpoint.
 LOAD_STEP = "load_step"
-# Size of the step after an easy one, over that one.
+# Growth of the step after an easy step.
 GROWTH = 1.5
-# Newton's answer counts where it changes no degradation factor by more than this: a larger jump has passed unstable
-# states, and round-off decides which of the states beyond them is found.
+# A solution of Newton's method is accepted if it changes no degradation factor by more than this. A larger change has
+# passed unstable states, and round-off decides which of the states beyond them is found.
 GENTLE = 0.3
-# Damage has settled where a sweep changes no degradation factor by more than LAST. There are at most SWEEPS of them.
+# Damage has settled if a sweep changes no degradation factor by more than LAST. There are at most SWEEPS sweeps.
 LAST = 1e-10
 SWEEPS = 1000
-# Newton with damage that follows the displacement is tried where a sweep changes no degradation factor by more than
-# NEAR, if forces have an energy. Else sweeps and Newton leave different damage on the way to the same equilibrium:
-# Newton is tried where damage has settled to SETTLED, and counts if it then changes no factor by more than CLOSE.
+# If forces have an energy, Newton with damage that follows the displacement is tried when a sweep changes no
+# degradation factor by more than NEAR. Otherwise sweeps and Newton reach the same equilibrium with different damage.
+# Newton is then tried when damage has settled to SETTLED, and accepted if it changes no factor by more than CLOSE.
 NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
-# Why an equilibrium counts that sweeps alone have found.
+# Reason for accepting an equilibrium that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
-# Largest number of solves until Newton's answer and the damage at it agree; after that sweeps take over.
+# Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
 FOLLOWING = 50
 
 
 class LoadStepSolver(StepSolver):
-    """Finds equilibrium of one declared load step after another.
+    """Find equilibrium of one declared load step after another.
 
     Attributes
     ----------
     steps : Steps or AdaptiveSteps
-        How the load is applied.
+        Load steps.
     stop : callable
-        Asked between attempts, collectively; True ends the march (a signal arrived).
+        Called between attempts, collectively; True ends the march (a signal arrived).
     """
 
     steps: Steps | AdaptiveSteps
     stop: Callable[[], bool]
 
     def resume(self, start: Start) -> None:
-        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
+        """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
         dt = start.resume.get(LOAD_STEP, 1.0)
         if not (dt > 0.0 and start.t + dt > start.t):
             raise CaseError(
@@ -59,28 +59,31 @@ class LoadStepSolver(StepSolver):
         super().resume(start)
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield one converged load step after the other (collective)."""
+        """Yield the converged load steps (collective)."""
         return load_steps(self, self.steps, start, self.stop, on_failure)
 
 
 def load_steps(
     solver: StepSolver, steps: Steps | AdaptiveSteps, start: Start, stop: Callable[[], bool], on_failure: OnFailure
 ) -> Iterator[Converged]:
-    """Yield converged steps from ``start`` to step time 1, beginning with the step size that a checkpoint names.
+    """Yield converged steps from ``start`` to load parameter 1, beginning with the step size of a checkpoint.
 
-    Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
-    Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate (sweeps) until neither changes: damage only grows, so this ends. Bonds of a law that lets
-    them heal also break where Newton converges without a jump; in sweeps they do not heal, and a last solve by Newton
-    lets them. A step that fails is halved and starts again from the last converged state; after an easy one the step
-    grows by half, up to the largest.
+    Bonds break at equilibrium, the most overstretched first. The same load is solved again until no bond breaks.
+
+    If Newton with damage that follows the displacement fails or jumps, sweeps replace it. Sweeps alternate equilibrium
+    with damage held and damage at that equilibrium, until neither changes. They end because damage only grows. Bonds
+    with reversible damage also break if Newton converges without a jump. In sweeps they do not regain force; a last
+    solve by Newton lets them.
+
+    A failed step is halved and restarts from the last converged state. After an easy step the size grows by half, up to
+    the largest.
 
     Raises
     ------
     SolveError
-        The smallest step failed, or the first equilibrium is one of infinitely many; what was yielded before stands.
+        The smallest step failed, or the first equilibrium is not unique. The states yielded before are valid.
     Interrupted
-        A signal asked to stop.
+        A signal requested a stop.
 
     Notes
     -----
@@ -121,7 +124,9 @@ def load_steps(
                 result = replace(result, converged=False, reason=reason)
         if stop():
             solver.problem.revert()
-            raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
+            raise Interrupted(
+                f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
+            )
         if result.converged and not converged_once:
             solver.refuse_mechanism(attempt)
             converged_once = True
@@ -152,9 +157,9 @@ def _unstable(pivots: int) -> str:
 def equilibrium(
     solver: StepSolver, bonds_at_once: int | None, u: Float, target: float, stop: Callable[[], bool]
 ) -> tuple[Float, StepResult, int, int]:
-    """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held.
+    """Find equilibrium with damage at ``target``; return unknowns, outcome, broken bonds and sweeps.
 
-    ``bonds_at_once`` is how many bonds break at once (``Steps``).
+    ``bonds_at_once`` is the number of bonds that break at once (``Steps``).
     """
     problem, broken = solver.problem, 0
     problem.freeze(False)
@@ -169,7 +174,7 @@ def equilibrium(
     while not stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum counts however far away it is. Along a path the balance of energy judges how far a step may go.
+        # A minimum is accepted at any distance. Along a path the energy balance limits the step.
         most = 1.0 if is_minimum(solver, result) or (has_energy and not solver.of_minima) else GENTLE
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
@@ -196,18 +201,18 @@ def seeks_minimum(solver: StepSolver) -> bool:
 
 
 def is_saddle(solver: StepSolver, result: StepResult) -> bool:
-    """Return True if a minimum is sought and the equilibrium is known to be none."""
+    """Return True if a minimum is sought and the equilibrium is known to be a saddle point."""
     return seeks_minimum(solver) and bool(result.negative_pivots)
 
 
 def is_minimum(solver: StepSolver, result: StepResult) -> bool:
-    """Return True if an equilibrium counts as a minimum of the energy, by its pivots or by conjugate gradients."""
+    """Return True if an equilibrium is accepted as a minimum of the energy, by its pivots or by conjugate gradients."""
     told = result.negative_pivots is not None or solver.meets_curvature
     return seeks_minimum(solver) and told and not result.negative_pivots
 
 
 def damage_of(solver: StepSolver) -> DamageModel:
-    """Return the damage of what a solver solves, which softens."""
+    """Return the damage of the problem of a solver, which must soften."""
     assert solver.problem.damage is not None
     return solver.problem.damage
 
@@ -215,17 +220,17 @@ def damage_of(solver: StepSolver) -> DamageModel:
 def followed(
     solver: StepSolver, u: Float, result: StepResult, target: float, most: float = GENTLE
 ) -> tuple[Float, StepResult, float]:
-    """Take the damage at ``u`` and solve again until that changes nothing; return the last change of a ``phi``.
+    """Update damage and solve again from ``u`` until neither changes; return also the last change of ``phi``.
 
-    A zero-energy control has the damage of the equilibrium before, so what Newton found is not yet an equilibrium with
-    its own damage. A change of more than ``most`` is not taken and ends the search.
+    A zero-energy control uses the damage of the equilibrium before. Newton's solution is therefore not yet in
+    equilibrium with its own damage. A change of more than ``most`` is not accepted and ends the search.
 
     Returns
     -------
     u, result
         The last equilibrium and the outcome of its solve.
     change : float
-        Last change of a degradation factor [-]; at most ``LAST`` where ``u`` is in equilibrium with its own damage.
+        Last change of a degradation factor [-]; at most ``LAST`` if ``u`` is in equilibrium with its own damage.
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
     damage = damage_of(solver)
@@ -249,22 +254,24 @@ def settle(
 ) -> tuple[Float, StepResult, int, int]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
-    A sweep leaves equilibrium with the damage before it. Where it changes little, Newton with damage that follows the
-    displacement begins from there, and its answer, which is in equilibrium with its own damage, ends the search. Where
-    forces have an energy, sweeps, found loosely, lower it, and the answer counts if its tangent has no negative pivots.
-    After an answer that does not count sweeps go on until they change ten times less, in the end until damage has
-    settled. With conjugate gradients Newton is that of Dembo1983: they stop where the curvature changes its sign, and a
-    step along which the energy rises is turned round.
+    A sweep leaves an equilibrium with the damage before it. If the sweep changes little, Newton with damage that
+    follows the displacement starts from it. Newton's solution is in equilibrium with its own damage and ends the
+    search.
 
-    Bonds of a law that lets them heal do not heal in sweeps, which might never end then, and break only where damage
-    has settled; the last Newton lets them heal and must converge.
+    If forces have an energy, sweeps (solved loosely) lower it, and the solution is accepted if its tangent has no
+    negative pivots. After a rejected solution, sweeps continue until they change ten times less, at last until damage
+    has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature changes
+    sign, and a step along which the energy rises is reversed.
+
+    Bonds with reversible damage do not regain force in sweeps, which might not end otherwise, and break only if damage
+    has settled. The last Newton solve lets them regain force and must converge.
 
     Parameters
     ----------
     most : int
         Largest number of sweeps.
     fail : callable
-        Breaks bonds at an equilibrium and returns how many.
+        Breaks bonds at an equilibrium and returns their number.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Equilibrium and heat conduction of a load step together, in one Newton's method."""
+"""Monolithic coupling: equilibrium and heat conduction of a load step in one Newton iteration."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from pdpetsc.solvers.heat_steps import HeatSteps, HeatSystem
 from pdpetsc.solvers.newton import ONE_STEP, StaticSolver
 from pdpetsc.solvers.protocol import StepResult
 
-# Step of the differences by temperature, as a share of the temperature and of its change in a load step.
+# Relative step of the differences by temperature, over the temperature and its change in a load step.
 DIFFERENCE = 1e-5
-# The temperature counts where its residual is below this share of the largest of the step.
+# The temperature is accepted if its residual is below this share of the largest one in the step.
 GOOD = 1e-10
-# Names of both parts of the unknowns, in the options of PCFIELDSPLIT.
+# Names of the two blocks in the options of PCFIELDSPLIT.
 TEMPERATURE, DISPLACEMENT = "temperature", "displacement"
 
 
 class MonolithicSolver(StaticSolver):
-    """Newton's method for ``f_int(u, T) = f_ext(t)`` and ``A T = b`` together.
+    """Solve ``f_int(u, T) = f_ext(t)`` and ``A T = b`` together by Newton's method.
 
     The linear systems are
 
         [ A      0   ] [ dT ]       [ A T - b       ]
         [ K_uT   K   ] [ du ]  =  - [ f_int - f_ext ]
 
-    with the derivative ``K_uT`` of internal forces by temperature, applied without a matrix, by central differences of
-    the forces of all terms along the change of the temperature. The upper right block is zero: neither flux, capacity
-    nor sources depend on the displacement. PCFIELDSPLIT takes the temperature first, which is exact then but for the
-    solvers of the parts.
+    ``K_uT`` is the derivative of internal forces by temperature. It is applied without a matrix, by central differences
+    of the forces of all terms along the change of the temperature. The upper right block is zero: flux, capacity and
+    sources do not depend on the displacement. PCFIELDSPLIT solves the temperature first, which is exact up to the
+    solvers of the blocks.
 
     Parameters
     ----------
@@ -55,29 +55,29 @@ class MonolithicSolver(StaticSolver):
         assert isinstance(heat, HeatSteps)
         self._heat, self._field = heat, heat.heat.field
         self._n_T = problem.body.cloud.n_owned
-        # What temperatures and their residuals are divided by for PETSc; those of a step follow it.
+        # Scales of temperatures and their residuals for PETSc, set in each step.
         self._degree, self._power = 1.0, 1.0
-        # The coupled matrix with what preconditions it, and all that is made for a step.
+        # Coupled matrix and preconditioning matrix, and all matrices of a step.
         self._mats: tuple[PETSc.Mat, PETSc.Mat] | None = None
         self._made: list[PETSc.Mat] = []
-        # Displacements of the present derivative by temperature.
+        # Displacements of the current derivative by temperature.
         self._coupled_at = np.zeros(problem.supports.fixed.shape)
         self._first = 0.0
         super().__init__(problem, assembler, stop, steps)
 
     @property
     def tangent_at(self) -> Float | None:
-        """Return None: a tangent is also of a temperature, which the next step begins with."""
+        """Return None: the tangent also depends on the temperature at the start of the next step."""
         return None
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium and temperature at step time ``t`` starting from ``u`` (n_rows, dim)."""
+        """Find equilibrium and temperature at load parameter ``t`` starting from ``u`` (n_rows, dim)."""
         system = self._system
         if self._all_prescribed:
             self._heat.solve()
             return super().solve(u, t)
         if self._heat.heat.declared.duration is None:
-            # Refuse a piece that gains heat without end before functions of the temperature are evaluated.
+            # Refuse a piece with unlimited heat input before functions of the temperature are evaluated.
             self._heat.solution()
         self._couple(system)
         attempt, result = super().solve(u, t)
@@ -104,11 +104,11 @@ class MonolithicSolver(StaticSolver):
         return system
 
     def _create(self) -> PETSc.Vec:
-        """Return a vector of displacements and then temperatures of each rank."""
+        """Create a vector of displacements followed by temperatures on each rank."""
         return PETSc.Vec().createMPI((self._n_u + self._n_T, PETSc.DETERMINE), comm=self._comm)
 
     def _equip(self) -> None:
-        """Tell PCFIELDSPLIT the parts, the temperature first."""
+        """Set the blocks of PCFIELDSPLIT, the temperature first."""
         first = self._x.getOwnershipRange()[0]
         parts = (
             PETSc.IS().createStride(self._n_u, first, 1, comm=self._comm),
@@ -121,7 +121,7 @@ class MonolithicSolver(StaticSolver):
             part.destroy()
 
     def _couple(self, system: HeatSystem) -> None:
-        """Make the matrix of a step, whose part of the temperature changes with its length."""
+        """Build the matrix of a step, whose temperature block depends on the length of the step."""
         change = np.abs(system.start - self._field.before).max(initial=0.0)
         scale = system.matrix.scale
         sources = np.abs(system.matrix.residual(system.start, system.b, system.start)).max(initial=0.0) / scale
@@ -129,7 +129,8 @@ class MonolithicSolver(StaticSolver):
         self._power = self._degree * scale
         tangent = self._equilibrium.tangent
         self._free()
-        # Where conduction takes no time a piece that nothing holds has no level: what preconditions it has.
+        # In steady conduction the mean value of an unsupported piece is undetermined; the preconditioning matrix is
+        # regular.
         steady = self._heat.heat.declared.duration is None
         heat, near = system.matrix.mat.copy(), system.matrix.near.copy() if steady else None
         for mat in (heat, near):
@@ -148,7 +149,7 @@ class MonolithicSolver(StaticSolver):
         self._first = 0.0
 
     def _forces_of(self, change: Float) -> Float:
-        """Return how internal forces change with the temperature, as PETSc sees both (n_u,)."""
+        """Compute the change of internal forces with the temperature, in PETSc's scale (n_u,)."""
         now, comm, supports = self._field.now.copy(), self._comm, self.problem.supports
         size = largest(comm, float(np.abs(change).max(initial=0.0)))
         if not size > 0.0:
@@ -169,16 +170,16 @@ class MonolithicSolver(StaticSolver):
         return self._displacement(x)
 
     def _temperature(self, x: PETSc.Vec) -> Float:
-        """Return the temperatures of a vector; they are counted from those that the step begins with."""
+        """Return the temperatures of a vector, which stores the difference to those at the start of the step."""
         return np.asarray(self._system.start + x.array_r[self._n_u :] * self._degree)
 
     def _run(self, start: Float) -> int:
-        # Later runs go on with the temperature that has been found.
+        # Later runs continue with the current temperature.
         change = (self._field.now - self._system.start) / self._degree
         return self._solve_from(np.concatenate([start.ravel() / self._scales.length, change]))
 
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
-        """Return the displacements of Newton's first step, which the temperature takes as well."""
+        """Return the displacements of the first Newton step, and apply its change of the temperature."""
         system, ksp, now = self._system, self.snes.getKSP(), self._field.now.copy()
         assert self._mats is not None
         self._coupled_at = u
@@ -205,12 +206,12 @@ class MonolithicSolver(StaticSolver):
             mat.assemble()
 
     def _norm(self, norm: float) -> float:
-        """Return the norm of the residual of the displacement [force]."""
+        """Return the norm of the displacement residual [force]."""
         r = self.snes.getFunction()[0].array_r[: self._n_u] * self._scales.force
         return float(np.sqrt(total(self._comm, float((r**2).sum()))))
 
     def _others_converged(self, x: PETSc.Vec) -> bool:
-        """Return whether the residual of the temperature counts as zero."""
+        """Return True if the residual of the temperature is within the tolerance."""
         norm = float(np.sqrt(total(self._comm, float((self._heat_residual(x) ** 2).sum()))))
         self._first = max(self._first, norm)
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
@@ -218,17 +219,17 @@ class MonolithicSolver(StaticSolver):
 
     @property
     def _tangent_solver(self) -> PETSc.KSP | None:
-        """Return the solver of the part of the displacement; that of the temperature has no negative pivots."""
+        """Return the solver of the displacement block; the temperature block has no negative pivots."""
         pc = self.snes.getKSP().getPC()
         return pc.getFieldSplitSubKSP()[1] if pc.getType() == "fieldsplit" else None
 
 
 class _Coupling:
-    """The derivative of internal forces by temperature as PETSc calls it."""
+    """Provide the derivative of internal forces by temperature as a PETSc shell matrix."""
 
     def __init__(self, product: Callable[[Float], Float]) -> None:
         self._product = product
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the product."""
+        """Compute the product."""
         y.array = self._product(np.array(x.array_r))

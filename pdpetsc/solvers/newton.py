@@ -26,25 +26,25 @@ from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Setting, StepResult
 from pdpetsc.solvers.snes import SnesSolver
 
-# The line search for a zero of the residual along the step; where a loose piece rotates its steps get tiny, full steps
-# do not.
+# Line search for a zero of the residual along the step. If a loose piece rotates, its steps become tiny; full steps do
+# not.
 SECANTS = "cp"
 ONE_STEP = Steps()
-# Tolerance of the response to forces that are no load.
+# Tolerance of the response to forces that are not loads.
 RESPONSE = 1e-4
 
 
 class StaticSolver(SnesSolver, LoadStepSolver):
-    """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
+    """Solve ``f_int(u) = f_ext(t)`` with prescribed displacements by Newton's method, with PETSc's SNES.
 
     Parameters
     ----------
     problem, assembler
-        What is solved, and what fills its matrix.
+        The problem, and the object that fills its matrix.
     stop : callable
-        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+        Called after every iteration, collectively; True ends the solve (a signal arrived).
     steps : Steps or AdaptiveSteps
-        How the load is applied.
+        Load steps.
 
     Notes
     -----
@@ -69,27 +69,27 @@ class StaticSolver(SnesSolver, LoadStepSolver):
 
     @property
     def tangent_at(self) -> Float | None:
-        """Return the displacement of the last Newton iteration but one, whose tangent the next step begins with."""
+        """Return the displacement of the last but one Newton iteration, whose tangent the next step starts with."""
         damage = self.problem.damage
         held = not self.problem.linear and (damage is None or not damage.frozen)
         return self._filled_at if held and self._equilibrium.tangent.holds() else None
 
     @classmethod
     def make(cls, setting: Setting) -> StaticSolver:
-        """Return the solver of a setting (collective)."""
+        """Build the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
 
     def description(self) -> str:
-        """Return the nonlinear and the linear solver in a few words."""
+        """Return a short description of the nonlinear and the linear solver."""
         return f"snes {self.snes.getType()}, {linear_solver(self.snes.getKSP())}"
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium at step time ``t`` starting from ``u`` (n_rows, dim).
+        """Find equilibrium at load parameter ``t`` starting from ``u`` (n_rows, dim).
 
         Returns
         -------
         u : (n_rows, dim) float64
-            The new displacement, or an unusable one where the step failed.
+            The new displacement; unusable if the step failed.
         result : StepResult
         """
         sought = self._equilibrium
@@ -110,7 +110,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
             linear += self._iterate(start)
         resting, more = self._rested()
         reason, found = self.snes.getConvergedReason(), self._read(self._x)
-        # The test of this solver has seen the residual, unless SNES shows it another vector's norm.
+        # The convergence test of this solver has seen the residual, unless SNES passes the norm of another vector.
         seen = sought.reason != "" and not self.snes.hasNPC()
         converged = reason > 0 and resting and (seen or self._judged(self._x))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear + more)
@@ -136,7 +136,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return found
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
-        """Return what the tangent at an equilibrium answers forces with; None where the linear solve fails."""
+        """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
         if self._all_prescribed:
             return np.zeros_like(u)
         sought, ksp = self._equilibrium, self.snes.getKSP()
@@ -145,12 +145,12 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         try:
             sought.update(self.problem.state(u, t))
             found, _ = self._linear_step(u, self.problem.state(u, t), self.problem.supports.reduced(force))
-        except PETSc.Error:  # the run has ended, and stands without it
+        except PETSc.Error:  # the run has ended, and is valid without it
             return None
         return None if ksp.getConvergedReason() < 0 else self.problem.supports.completed(found)
 
     def _as_before(self, u: Float, t: float) -> int | None:
-        """Run SNES from where the step before leads to; return the linear iterations, None where that fails."""
+        """Run SNES from the extrapolated last step; return the linear iterations, None if that fails."""
         last, sought = self.problem.last_step, self._equilibrium
         if last is None:
             return None
@@ -167,7 +167,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return None
 
     def _without_solve(self) -> tuple[Float, StepResult]:
-        """Return the prescribed displacements, where there are no others: nothing to factor or to iterate."""
+        """Return the prescribed displacements if all unknowns are prescribed; nothing is factored or iterated."""
         sought, reason = self._equilibrium, PETSc.SNES.ConvergedReason
         u = sought.prescribed.copy()
         if sought.residual(u.ravel()) is None:
@@ -175,7 +175,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
 
     def _iterate(self, start: Float) -> int:
-        """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
+        """Run SNES from ``start``, with full steps if its line search fails; return the linear iterations."""
         linear = self._run(start)
         if self._failed() and line_search(self.snes) == SECANTS and not self.stop():
             self._equilibrium.reason = ""
@@ -184,14 +184,14 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return linear
 
     def _failed(self) -> bool:
-        """Return whether SNES has ended where there is no equilibrium, whatever its reason."""
+        """Return True if SNES has ended without an equilibrium, for any reason."""
         if self.snes.getConvergedReason() < 0:
             return True
         judged = self._equilibrium.reason != ""
         return not judged and not self._judged(self._x)
 
     def _create(self) -> PETSc.Vec:
-        """Return a vector of PETSc for the unknowns."""
+        """Create a PETSc vector of the unknowns."""
         return self._equilibrium.tangent.preconditioner.createVecRight()
 
     def _equip(self) -> None:
@@ -208,10 +208,10 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return int(self.snes.getLinearSolveIterations())
 
     def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
-        """Return the linear response to new prescribed displacements: Newton's first step, from the old state.
+        """Compute the linear response to new prescribed displacements: the first Newton step, from the old state.
 
-        Setting them alone would strain the layer next to a support by the whole increment. The tangent is that of the
-        last iteration before, whose factor is there already, unless bonds have failed since.
+        Prescribed displacements alone would strain the layer next to a support by the whole increment. The tangent is
+        that of the last iteration before, whose factor exists already, unless bonds have failed since.
         """
         sought = self._equilibrium
         if sought.unbalanced is None:
@@ -227,8 +227,8 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return sought.at_prescribed(u + (change if finite else jump)), iterations
 
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
-        """Return the displacements that the tangent answers forces ``b`` with, and the iterations."""
-        # What the state keeps is not needed while the tangent is factored, which takes the most memory.
+        """Solve the tangent for forces ``b``; return displacements and iterations."""
+        # Cached quantities of the state are not needed during the factorisation, which uses the most memory.
         state.forget()
         self._r.array = b.ravel() / self._scales.force
         ksp, tangent = self.snes.getKSP(), self._equilibrium.tangent

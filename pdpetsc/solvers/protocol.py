@@ -1,4 +1,4 @@
-"""What every solver offers: a march from the state that a run starts from, one converged state after another."""
+"""Common interface of solvers: a march from an initial state through converged states."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from pdpetsc.problem.state import State
 
 @dataclass(frozen=True)
 class StepResult:
-    """Outcome of one attempt at a load step.
+    """Store the outcome of one attempt at a load step.
 
     Attributes
     ----------
     converged : bool
         Whether the solver met its tolerance, or the residual stagnated at the round-off floor.
     reason : str
-        Why it ended, in words.
+        Reason for the end, in words.
     norms : list of float
         Residual norms over the free degrees of freedom, at the start and after iterations [force].
     reference : float
-        Norm of external forces and reactions that the tolerance is relative to, at most the sum of the forces that the
-        step involves [force].
+        Reference force of the tolerance: norm of external forces and reactions, at most the sum of the forces in the
+        step [force].
     iterations : int
         Newton iterations or time steps.
     linear_iterations : int
         Krylov iterations of all Newton iterations.
     easy : bool
-        Whether a longer load step is worth a try.
+        Whether a longer load step may be tried next.
     negative_pivots : int or None
-        Negative eigenvalues of the last tangent that was factored, 0 where equilibrium is stable under its loads; None
-        where there is no factor that tells.
+        Negative eigenvalues of the last factored tangent, 0 if the equilibrium is stable under its loads. None if no
+        factor determines them.
     growth : float
         After damage has settled in sweeps, the factor by which a deviation from the equilibrium grows from one sweep to
-        the next [-]. Above 1 other branches of equilibria lead away, and round-off may decide which one a run takes.
+        the next [-]. Above 1, other branches of equilibria exist, and round-off may decide which branch a run follows.
     """
 
     converged: bool
@@ -57,28 +57,28 @@ class StepResult:
 
 @dataclass(frozen=True)
 class Converged:
-    """A converged step.
+    """Store a converged step.
 
     Attributes
     ----------
     u : (n_rows, dim) float64
         Unknowns [length].
     t : float
-        Step time [-].
+        Load parameter [-].
     result : StepResult
-        Its outcome.
+        Outcome of the step.
     failures : list of StepResult
         Failed attempts before it.
     broken : int
-        Bonds that broke in it.
+        Number of bonds that broke in the step.
     sweeps : int
-        Number of equilibria that were found with the damage held, where Newton with damage failed; else 0.
+        Number of equilibria with damage held, if Newton with damage failed; else 0.
     resume : mapping of str to float
-        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
+        Numbers that the solver needs for a restart, by names of its own.
     write_fields : bool
-        Whether it is one of those whose fields are written.
+        Whether the fields of this step are written.
     work : float or None
-        External work since the step before, over the equilibria between them [energy]; None where there are none.
+        External work since the last step, over the equilibria between both [energy]; None if there are none.
     """
 
     u: Float
@@ -94,18 +94,18 @@ class Converged:
 
 @dataclass(frozen=True)
 class Start:
-    """Where a march starts from.
+    """Store the initial state of a march.
 
     Attributes
     ----------
     u : (n_rows, dim) float64
         Converged unknowns [length].
     t : float
-        Their step time [-].
+        Load parameter of these unknowns [-].
     resume : mapping of str to float
-        What the solver of the run before named in ``Converged.resume``; empty at the start of a run.
+        Numbers of ``Converged.resume`` of the previous run; empty at the start of a run.
     tangent_at : (n_rows, dim) float64 or None
-        Displacements whose tangent the first step begins with [length], where they are not ``u``.
+        Displacements at which the first step evaluates its initial tangent [length], if they differ from ``u``.
     """
 
     u: Float
@@ -114,26 +114,26 @@ class Start:
     tangent_at: Float | None = None
 
 
-# Called after a failed attempt with the last converged step time, the step that is tried next, and the outcome.
+# Called after a failed attempt with the last converged load parameter, the size of the next step, and the outcome.
 OnFailure: TypeAlias = Callable[[float, float, StepResult], None]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a solver is made from.
+    """Store the arguments for building a solver.
 
     Attributes
     ----------
     problem : Problem
-        What is solved.
+        The problem.
     declared : DeclaredSolver
-        What the case declares, of the class that the table of solvers has it under.
+        Declared solver, of the class in the table of solvers.
     steps : Steps or AdaptiveSteps
-        How the load is applied, for those that step it.
+        Load steps, for solvers that step the load.
     filled : Filler or None
-        What fills the matrices; None for a solver that needs no tangent.
+        Object that fills the matrices; None for a solver that needs no tangent.
     stop : callable
-        Asked now and then, collectively; True ends the march (a signal arrived).
+        Called repeatedly and collectively; True ends the march (a signal arrived).
     """
 
     problem: Problem
@@ -144,24 +144,25 @@ class Setting:
 
     @property
     def assembler(self) -> Filler:
-        """Return what fills the matrices, for a solver that declares to need a tangent."""
+        """Return the object that fills the matrices, for a solver that needs a tangent."""
         assert self.filled is not None
         return self.filled
 
 
 class Solver(ABC):
-    """Marches from one equilibrium to the next.
+    """March from one equilibrium to the next.
 
     Attributes
     ----------
     unit : str
         Name of its iterations in messages.
     advice : str
-        What a user may try when it failed.
+        Advice to the user after a failure.
     resumed : (n_rows, dim) float64 or None
-        Displacements whose tangent the first step begins with [length], where they are not those it starts from.
+        Displacements at which the first step evaluates its initial tangent [length], if they differ from the initial
+        ones.
     ended : str
-        What ended a march that finds its own end, for the log; empty where the load is what ends it.
+        Reason for the end of a march that determines its own end, for the log; empty if the load determines it.
     """
 
     unit: str
@@ -172,7 +173,7 @@ class Solver(ABC):
     @classmethod
     @abstractmethod
     def make(cls, setting: Setting) -> Solver:
-        """Return the solver of a setting (collective)."""
+        """Build the solver of a setting (collective)."""
 
     @classmethod  # noqa: B027 - most need no more than they declare
     def refuse(cls, problem: Problem) -> None:
@@ -180,45 +181,48 @@ class Solver(ABC):
 
     @classmethod  # noqa: B027 - most have none
     def rehearse(cls, problem: Problem) -> None:
-        """Compile or load the loops that only this solver runs (collective on the problem's ranks)."""
+        """Compile or load the kernels that only this solver runs (collective on the ranks of the problem)."""
 
     @abstractmethod
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield one converged state after the other, from ``start`` to the end of the load (collective).
+        """Yield the converged states from ``start`` to the end of the load (collective).
 
         Raises
         ------
         SolveError
-            No further state was found; what was yielded before stands.
+            No further state was found; the states yielded before are valid.
         Interrupted
-            A signal asked to stop.
+            A signal requested a stop.
         """
 
     @property
     def tangent_at(self) -> Float | None:
-        """Return the displacements whose tangent begins the next step (n_rows, dim) [length]; None: the last."""
+        """Return the displacements at which the next step evaluates its initial tangent (n_rows, dim) [length].
+
+        None for the last displacements.
+        """
         return None
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
-        """Return what the tangent at an equilibrium answers forces with (n_rows, dim) [length] (collective).
+        """Solve the tangent at an equilibrium for forces; return displacements (n_rows, dim) [length] (collective).
 
-        None where this solver has no tangent at hand. ``force`` (n_rows, dim) [force] is zero where unknowns are
-        prescribed. Nothing is solved after it.
+        None if this solver has no tangent. ``force`` (n_rows, dim) [force] is zero for prescribed unknowns. It must be
+        the last solve.
         """
         return None
 
     def resume(self, start: Start) -> None:
-        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective).
+        """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective).
 
         Raises
         ------
         CaseError
-            The numbers in the checkpoint cannot be those of a run.
+            The numbers in the checkpoint are invalid.
         """
         self.resumed = start.tangent_at
 
     def line(self, number: int, converged: Converged) -> str | None:
-        """Return what is printed of a converged step, None for nothing (not collective)."""
+        """Return the printed line of a converged step, None for no line (not collective)."""
         result = converged.result
         last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
         negative = result.negative_pivots or 0
@@ -241,30 +245,30 @@ class Solver(ABC):
 
     @abstractmethod
     def description(self) -> str:
-        """Return the solver and its options in a few words, for the log."""
+        """Return a short description of the solver and its options, for the log."""
 
     @abstractmethod
     def destroy(self) -> None:
-        """Free what the solver holds outside Python."""
+        """Free memory outside Python."""
 
 
 class StepSolver(Solver):
-    """Finds equilibrium of one load step after another.
+    """Find equilibrium of one load step after another.
 
     Attributes
     ----------
     problem : Problem
-        What is solved, whose damage and history the load stepping changes between equilibria.
+        The problem; load stepping changes its damage and history between equilibria.
     load : float
-        Load factor of the last equilibrium, of solvers that find it [-].
+        Load factor of the last equilibrium, for solvers that compute it [-].
     t : float
-        Step time of the last solve [-].
+        Load parameter of the last solve [-].
     """
 
     problem: Problem
     load: float = 0.0
     t: float = 0.0
-    # Whether an equilibrium must be a minimum of the energy; along a path the load is no constant.
+    # Whether an equilibrium must be a minimum of the energy. Along a path the load is not constant.
     of_minima: bool = True
 
     @property
@@ -276,24 +280,24 @@ class StepSolver(Solver):
         return False
 
     def state(self, u: Float) -> State:
-        """Return the state at unknowns and the step time of the last solve (collective)."""
+        """Return the state at unknowns and the load parameter of the last solve (collective)."""
         return self.problem.state(u, self.t)
 
     def refuse_mechanism(self, u: Float) -> None:
-        """Raise SolveError on all ranks if the equilibrium at ``u`` is one of infinitely many (collective).
+        """Raise SolveError on all ranks if the equilibrium at ``u`` is not unique because of a mechanism (collective).
 
-        Solvers without a tangent do not know.
+        Solvers without a tangent do not check.
         """
 
     def growth(self, u: Float) -> float:
-        """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if nothing tells (collective)."""
+        """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if unknown (collective)."""
         return 0.0
 
     @contextmanager
     def loosely(self) -> Iterator[None]:
-        """Let equilibria be found to ``LOOSE`` of the forces, if the solver has a tolerance (collective)."""
+        """Relax the tolerance to ``LOOSE`` in the ``with`` block, if the solver has a tolerance (collective)."""
         yield
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium at step time ``t`` from ``u`` (n_rows, dim); collective."""
+        """Find equilibrium at load parameter ``t`` from ``u`` (n_rows, dim); collective."""

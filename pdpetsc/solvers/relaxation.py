@@ -20,35 +20,38 @@ from pdpetsc.solvers.protocol import Setting, StepResult
 # Iterations that estimate the largest frequency, and the share of the critical time step that is used.
 POWER_ITERATIONS = 30
 SAFETY = 0.9
-# A new stable time step is estimated this often: the stiffness changes with the deformation.
+# Iterations between estimates of the stable time step: the stiffness changes with the deformation.
 RENEWED = 2000
-# Time steps after which a norm is recorded and signals are looked for.
+# Time steps between records of the norm and checks for signals.
 KEPT = 100
-# An unloaded body has no forces to compare its residual with: it is compared with this share of the largest of a state
-# at rest so far, or of the beginning of the step. Those of a motion that ends nowhere do not count.
+# An unloaded body has no forces to compare its residual with. The residual is compared with this share of the largest
+# forces in a state at rest so far, or at the start of the step. Forces of a motion that does not come to rest do not
+# count.
 UNLOADED = 1e-3
 
 
 class RelaxationSolver(LoadStepSolver):
-    """Damped motion ``m a + c m v = f_ext - f_int`` with unit density, in central differences, to rest.
+    """Integrate the damped motion ``m a + c m v = f_ext - f_int`` with unit density by central differences, to rest.
 
-    The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never
-    above 0.9 of the critical one, ``2 / omega_max``, with the largest frequency of ``M^-1 K`` from power iterations.
-    It is at rest where residual and change of displacement have fallen to the tolerance times their first values, and
-    the residual also to the tolerance times the norm of external forces and reactions.
-    The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step with the
-    diagonal stiffness that two successive residuals show.
+    The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle. It is at
+    most 0.9 of the critical time step ``2 / omega_max``. Power iterations give the largest frequency of ``M^-1 K``.
+
+    The body is at rest if residual and change of displacement have decreased to the tolerance times their first values.
+    The residual must also have decreased to the tolerance times the norm of external forces and reactions.
+
+    The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step, with the
+    diagonal stiffness from two successive residuals.
 
     Parameters
     ----------
     problem : Problem
-        What is solved.
+        The problem.
     options : DynamicRelaxation
         Tolerance and largest number of time steps.
     steps : Steps or AdaptiveSteps
-        How the load is applied.
+        Load steps.
     stop : callable
-        Asked now and then, collectively; True ends the solve (a signal arrived).
+        Called repeatedly and collectively; True ends the solve (a signal arrived).
 
     References
     ----------
@@ -76,7 +79,7 @@ class RelaxationSolver(LoadStepSolver):
 
     @classmethod
     def make(cls, setting: Setting) -> RelaxationSolver:
-        """Return the solver of a setting (collective)."""
+        """Build the solver of a setting (collective)."""
         return cls(setting.problem, setting.declared, setting.steps, setting.stop)
 
     @property
@@ -85,21 +88,21 @@ class RelaxationSolver(LoadStepSolver):
         return 0
 
     def description(self) -> str:
-        """Return the solver in a few words."""
+        """Return a short description of the solver."""
         return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
 
     def destroy(self) -> None:
-        """Free nothing."""
+        """Do nothing: there is no memory outside Python."""
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Move from ``u`` to rest under the conditions at step time ``t`` (collective)."""
+        """Integrate from ``u`` to rest under the conditions at load parameter ``t`` (collective)."""
         self.t = t
         self._prescribed = self.problem.supports.prescribed(t)
         unknowns, result = self._relax(np.where(self._free, u, self._prescribed))
         return self._completed(unknowns), result
 
     def _relax(self, start: Float) -> tuple[Float, StepResult]:
-        """Move from unknowns ``start`` to rest; those that are not independent stay as they are."""
+        """Integrate from unknowns ``start`` to rest; dependent unknowns do not change."""
         moved = start.copy()
         forces = self._forces(moved)
         if forces is None:
@@ -114,7 +117,7 @@ class RelaxationSolver(LoadStepSolver):
         density = self._norm(residual / self._mass[:, None])
         least = UNLOADED * max(self._largest, reference)
         if norms[0] <= self._options.tolerance * max(reference, least):
-            # It is in equilibrium already: the first residual is too small to be the reference of the others.
+            # The body is in equilibrium already: the first residual is too small as a reference.
             self._largest = max(self._largest, reference)
             return moved, StepResult(True, "at rest", norms, reference, 0)
         for iteration in range(1, self._options.most + 1):
@@ -150,14 +153,14 @@ class RelaxationSolver(LoadStepSolver):
         return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
 
     def _completed(self, unknowns: Float) -> Float:
-        """Return unknowns that satisfy the constraints (n_rows, dim) [length], from the independent ones."""
+        """Compute unknowns that satisfy the constraints (n_rows, dim) [length] from the independent ones."""
         return self.problem.supports.completed(unknowns, self._prescribed)
 
     def _forces(self, unknowns: Float) -> tuple[Float, Float] | None:
-        """Return unbalanced and external forces (n_rows, dim) [force]; None if they are undefined.
+        """Compute unbalanced and external forces (n_rows, dim) [force]; None if they are undefined.
 
-        Unbalanced forces are ``C^T (f_ext - f_int)`` on independent unknowns, and what constraints must balance of
-        ``f_ext - f_int`` on the others.
+        For independent unknowns, unbalanced forces are ``C^T (f_ext - f_int)``. For the others, they are the part of
+        ``f_ext - f_int`` that constraints balance.
         """
         state = self.state(self._completed(unknowns))
         force = self.problem.internal_force(state)
@@ -168,7 +171,7 @@ class RelaxationSolver(LoadStepSolver):
         return np.where(self._free, self.problem.supports.reduced(unbalanced), unbalanced), external
 
     def _reference(self, reaction: Float, external: Float) -> float:
-        """Return the norm of forces and reactions [force]."""
+        """Compute the norm of forces and reactions [force]."""
         unstrained = self.problem.force_without_strain(self.t)
         held = 0.0 if unstrained is None else float((unstrained**2).sum())
         sums = total(self._comm, [(external**2).sum(), (reaction**2).sum(), held])
@@ -179,7 +182,7 @@ class RelaxationSolver(LoadStepSolver):
         return float(np.sqrt(total(self._comm, (values**2).sum())))
 
     def _time_step(self, u: Float) -> float:
-        """Return the time step that is stable at ``u``."""
+        """Compute a stable time step at ``u``."""
         cloud = self.problem.body.cloud
         gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
         gid = gid[:, None].astype(float)
@@ -197,7 +200,7 @@ class RelaxationSolver(LoadStepSolver):
 
 
 def _courant_step(problem: Problem) -> float:
-    """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
+    """Compute ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
     cloud = problem.body.cloud
     shortest = smallest(cloud.comm, float(nearest_distances(problem.body).min(initial=np.inf)))
     stiffest = largest(cloud.comm, problem.material_term.largest_modulus)

@@ -1,4 +1,4 @@
-"""Newton's method on PETSc's SNES: what load stepping, temperatures as unknowns and path following share."""
+"""Newton's method with PETSc's SNES: common base of load stepping, monolithic coupling and path following."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
 from pdpetsc.solvers.unique import refuse_mechanism
 
-# Tolerance of equilibria on the way to another one.
+# Tolerance of intermediate equilibria.
 LOOSE = 1e-3
 
 
 class SnesSolver(StepSolver):
-    """Finds a zero of the residual of ``Equilibrium`` and of whatever else is solved for, with SNES.
+    """Find a zero of the residual of ``Equilibrium`` and of further unknowns with SNES.
 
-    A vector of PETSc holds the displacements of a rank over their scale, and after them its other unknowns.
+    A PETSc vector stores the displacements of a rank over their scale, followed by its other unknowns.
 
     Parameters
     ----------
     problem, assembler
-        What is solved, and what fills its matrix.
+        The problem, and the object that fills its matrix.
     stop : callable
-        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+        Called after every iteration, collectively; True ends the solve (a signal arrived).
 
     Attributes
     ----------
@@ -53,11 +53,11 @@ class SnesSolver(StepSolver):
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self.snes = PETSc.SNES().create(comm=self._comm)
-        # Whether the energy rises along the last step that the linear solver gave.
+        # Whether the energy rises along the last step of the linear solver.
         self._rises = False
 
     def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
-        """Give SNES its functions, and SNES and linear solvers their options."""
+        """Set the functions of SNES, and the options of SNES and linear solvers."""
         self._x, self._r = x, x.duplicate()
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, mat, preconditioner)
@@ -71,7 +71,7 @@ class SnesSolver(StepSolver):
         return self._equilibrium.tangent.bytes
 
     def refuse_mechanism(self, u: Float) -> None:
-        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
+        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` has a mechanism."""
         sought, ksp = self._equilibrium, self._tangent_solver
         if ksp is None:
             return
@@ -79,7 +79,7 @@ class SnesSolver(StepSolver):
         if anew:
             sought.update(self.state(u))
         refuse_mechanism(self.problem, sought.tangent, ksp, self._scales.stiffness, self.t)
-        if anew:  # the next step begins as if nobody had looked
+        if anew:  # the next step starts as without this check
             sought.forget()
 
     def destroy(self) -> None:
@@ -92,11 +92,11 @@ class SnesSolver(StepSolver):
     @property
     @abstractmethod
     def _tangent_solver(self) -> PETSc.KSP | None:
-        """Return the linear solver of the tangent, None if there is none."""
+        """Return the linear solver of the tangent; None if there is none."""
 
     @abstractmethod
     def _equip(self) -> None:
-        """Give the linear solver what options alone do not."""
+        """Set properties of the linear solver that options cannot set."""
 
     @abstractmethod
     def _iterate(self, start: Float) -> int:
@@ -104,27 +104,27 @@ class SnesSolver(StepSolver):
 
     @abstractmethod
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Update the matrices to those at ``x``."""
+        """Update the matrices to ``x``."""
 
     def _read(self, x: PETSc.Vec) -> Float:
-        """Return the displacements (n,) of a vector [length]; its other unknowns become those of the problem."""
+        """Return the displacements (n,) of a vector [length], and set the other unknowns of the problem."""
         return self._displacement(x)
 
     def _other_residuals(self, x: PETSc.Vec) -> Float:
-        """Return the residuals of the other unknowns of this rank, as PETSc sees them."""
+        """Return the residuals of the other unknowns of this rank, in PETSc's scale."""
         return np.empty(0)
 
     def _others_converged(self, x: PETSc.Vec) -> bool:
-        """Return whether the residuals of the other unknowns count as zero."""
+        """Return True if the residuals of the other unknowns are within the tolerance."""
         return True
 
     def _norm(self, norm: float) -> float:
-        """Return the norm that the convergence test judges [force], from that of the whole residual of PETSc."""
+        """Return the norm for the convergence test [force], from PETSc's norm of the whole residual."""
         return norm * self._scales.force
 
     @contextmanager
     def loosely(self) -> Iterator[None]:
-        """Let SNES and its linear solver end at ``LOOSE``."""
+        """Relax the tolerances of SNES and its linear solver to ``LOOSE`` in the ``with`` block."""
         ksp = self.snes.getKSP()
         rtol, of_linear = self._rtol, ksp.getTolerances()[0]
         self.snes.setTolerances(rtol=max(rtol, LOOSE))
@@ -144,16 +144,16 @@ class SnesSolver(StepSolver):
         return np.asarray(x.array_r[: self._n_u] * self._scales.length)
 
     def _rested(self) -> tuple[bool, int]:
-        """Solve again with the springs of loose particles moved along, until they have no force.
+        """Solve again with moved springs of loose particles, until the springs have no force.
 
-        Return whether forces balance without them, and the linear iterations.
+        Return True if forces balance without them, and the linear iterations.
         """
         sought, linear = self._equilibrium, 0
         resting = sought.resting
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
-            # Solve again from this state, to which the springs move: they have no force there.
+            # Solve again from this state, in which the moved springs have no force.
             rest = sought.at_prescribed(self._read(self._x))
             sought.move_springs(rest)
             sought.reason = ""
@@ -162,14 +162,14 @@ class SnesSolver(StepSolver):
         return resting, linear
 
     def _judged(self, x: PETSc.Vec) -> bool:
-        """Return whether the residuals at a vector count as zero."""
+        """Return True if the residuals at a vector are within the tolerance."""
         return self._equilibrium.judge(self._read(x), self._rtol) and self._others_converged(x)
 
     def _pivots(self) -> int | None:
-        """Return the negative pivots of the tangent, None unless it is what was factored.
+        """Return the negative pivots of the tangent; None unless the tangent was factored.
 
-        Conjugate gradients that have met negative curvature, or gave a step along which the energy rises, tell of one
-        at least.
+        Conjugate gradients that met negative curvature, or gave a step along which the energy rises, indicate at least
+        one.
         """
         ksp = self._tangent_solver
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
@@ -179,7 +179,7 @@ class SnesSolver(StepSolver):
         return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
 
     def _answer(self, b: Float) -> Float:
-        """Return the unknowns (n,) that the tangent, which was solved with last, answers forces ``b`` with [length]."""
+        """Solve the last tangent for forces ``b``; return the unknowns (n,) [length]."""
         forces, found = self._r.duplicate(), self._x.duplicate()
         forces.set(0.0)
         forces.array_w[: b.size] = b.ravel() / self._scales.force
@@ -207,9 +207,9 @@ class SnesSolver(StepSolver):
         return ksp is not None and ksp.getType() == "cg"
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0.
+        """Remove motion that only springs of loose particles resist, and halve a Newton step until it keeps det F > 0.
 
-        Where forces have an energy, also damage included, a step along which it rises is turned round.
+        If forces have an energy, including damage, a step along which it rises is reversed.
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
@@ -244,5 +244,5 @@ class SnesSolver(StepSolver):
         if not others:
             sought.reason = ""
             return None
-        # -snes_force_iteration: no solve is done before its first iteration.
+        # -snes_force_iteration: do not end a solve before its first iteration.
         return None if iteration == 0 and forces_iteration(snes) else verdict

@@ -1,4 +1,4 @@
-"""Which solver does what a case declares, and what a solver must find in a problem."""
+"""Mapping from declared solvers to classes, and checks of the requirements of a solver."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from pdpetsc.solvers.path_following.solver import PathSolver
 from pdpetsc.solvers.protocol import Solver
 from pdpetsc.solvers.relaxation import RelaxationSolver
 
-# A new solver is one class of its own and a line here.
+# A new solver is a class and an entry here.
 IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     Newton: StaticSolver,
     DynamicRelaxation: RelaxationSolver,
     PathFollowing: PathSolver,
 }
-# The solver that finds the temperature together with the displacement, as one that finds displacements does.
+# Solver for monolithic coupling with the temperature, by the solver of displacements alone.
 MONOLITHIC: dict[type[Solver], type[Solver]] = {StaticSolver: MonolithicSolver}
-# Module and class of solvers that are imported on first use.
+# Module and class of solvers imported on first use.
 SATELLITES: dict[type[DeclaredSolver], tuple[str, str]] = {
     EventDriven: ("pdpetsc.solvers.event_driven.solver", "EventSolver"),
 }
 
 
 def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
-    """Return what solves a problem as a case declares: with the temperature among the unknowns where it asks for that.
+    """Return the solver class for a problem and a declared solver, with monolithic coupling if declared.
 
     Raises
     ------
     CaseError
-        The table has nothing, or what it has finds no temperature together with the displacement.
+        The table has no entry, or the solver does not support monolithic coupling.
     """
     found = implementation(declared)
     if not problem.coupled:
@@ -48,7 +48,7 @@ def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:
-    """Return what does what a case declares (not collective); raise CaseError where the table has nothing."""
+    """Return the class of a declared solver (not collective); raise CaseError if the table has no entry."""
     for kind in type(declared).__mro__:
         if kind in IMPLEMENTATIONS:
             return IMPLEMENTATIONS[kind]
@@ -63,7 +63,7 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
-    """Raise CaseError on all ranks where a problem lacks what a solver declares to need (collective)."""
+    """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective)."""
     solver_of(problem, declared).refuse(problem)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:

@@ -1,4 +1,4 @@
-"""Whether an equilibrium is the only one."""
+"""Check that an equilibrium is unique."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pdpetsc.problem.problem import Problem
 
 
 def refuse_mechanism(problem: Problem, tangent: PetscTangent, ksp: PETSc.KSP, scale: float, t: float) -> None:
-    """Revert the step and raise SolveError on all ranks if an up-to-date tangent leaves a mechanism of the body.
+    """Revert the step and raise SolveError on all ranks if an up-to-date tangent has a mechanism.
 
-    Loads that do not move a mechanism leave its displacement undetermined, so the solution is one of infinitely many.
+    Loads that do not move a mechanism leave its displacement undetermined. The solution is then one of infinitely many.
 
     Parameters
     ----------
     problem : Problem
-        What is solved.
+        The problem.
     tangent : PetscTangent
         Its tangent.
     ksp : KSP
-        The linear solver of the tangent.
+        Linear solver of the tangent.
     scale : float
-        The stiffness that is 1 in the tangent [force / length].
+        Unit of stiffness in the tangent [force / length].
     t : float
-        Step time, for the message [-].
+        Load parameter, for the message [-].
 
     Notes
     -----

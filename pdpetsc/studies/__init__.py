@@ -1,1 +1,1 @@
-"""Many runs of one case: parameter sets, tables that resume, orders of convergence, parameters fitted to curves."""
+"""Studies of a case: parameter sets, tables that resume, orders of convergence, parameters fitted to curves."""

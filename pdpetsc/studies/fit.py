@@ -1,4 +1,4 @@
-"""Parameters of a case for which a run gives a measured curve."""
+"""Fit of parameters of a case to a measured curve."""
 
 from __future__ import annotations
 
@@ -24,61 +24,60 @@ from pdpetsc.studies.sets import Range, text_of
 from pdpetsc.studies.study import Progress, Runs
 from pdpetsc.studies.table import write_columns
 
-# Step of the differences that make the Jacobian, over the range of a parameter [-]: far above what solvers leave of a
-# curve, far below what bends it.
+# Step of the differences for the Jacobian, over the range of a parameter [-]: far above the error of solvers, far below
+# the scale of curvature.
 STEP = 1e-3
-# A curve that changes by less than this over the whole range of a parameter does not depend on it [-].
+# A curve with a smaller change over the whole range of a parameter does not depend on it [-].
 NOTHING = 1e-6
-# Smallest singular value of the Jacobian with columns of length 1 below which parameters cannot be told apart [-].
+# Parameters cannot be distinguished if the smallest singular value of the Jacobian with unit columns is below this [-].
 SINGULAR = 1e-3
-# A parameter this near to the end of its range, over the range, has ended there [-].
+# A parameter this near to the end of its range, over the range, is at the end [-].
 AT_END = 1e-3
-# A step that may be left where the search ends: over the standard errors [-], and over the range [-]. Less is below
-# what the measurement tells, and a curve with bends, as at yield, has no least square where a derivative vanishes.
+# Largest remaining step at the end of a search: over the standard errors [-], and over the range [-]. Smaller steps are
+# below the accuracy of the measurement, and for a curve with kinks, as at yield, no derivative vanishes at the minimum.
 LEFT, NEAR = 0.1, 1e-4
-# Searches from where one has ended, and curves that the first of them may take.
+# Number of repeated searches from the end of the previous one, and of curves for the first of them.
 ROUNDS, AGAIN = 6, 15
-# Share of the variance that a case explains which is that of the measurement, and residuals, over the measured values,
-# that are small whatever their variance.
+# Smallest explained share of the variance of the measurement, and relative residuals that are accepted at any variance.
 GOOD, CLOSE = 0.9, 0.01
-# Digits of the parameters that are run: more are below what a curve can tell.
+# Digits of the parameters of runs: more are below the accuracy of a curve.
 DIGITS = 12
 FILES = ("fit.json", "fit.csv", "fit.png")
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit has found.
+    """The result of a fit.
 
     Attributes
     ----------
     values : dict of str to float
         The parameters.
     errors : dict of str to float
-        Their standard errors: of measured values with independent errors, of the given standard deviations or, where
-        there are none, of that of the residuals.
+        Their standard errors, for independent errors of the measured values with the declared standard deviations, or
+        else with that of the residuals.
     correlation : (n, n) float64
-        Of the errors of the parameters, in their order.
+        Correlation of the errors of the parameters, in their order.
     fitted : (m,) float64
-        The curve of the run at the measured places.
+        The curve of the run at the measured positions.
     curve : Curve
-        The measured one.
+        The measured curve.
     rms : float
-        Root of the mean square of the residuals, in the unit of the values.
+        Root mean square of the residuals, in the unit of the values.
     explained : float
         Share of the variance of the measured values that is explained: 1 - residual / total.
     chi2 : float or None
-        Squares of residuals over their standard deviations, per degree of freedom, where deviations are given: 1 is
-        right, far more means that the model is not that of the measurement.
+        Sum of squared residuals over standard deviations, per degree of freedom, if deviations are declared. About 1 is
+        expected; a much larger value means that the model does not describe the measurement.
     interpolation : float
-        What reading off between the steps of the run may be wrong, in the unit of the values; inf where there are
-        fewer than four of them, which do not tell.
+        Estimated error of interpolation between the steps of the run, in the unit of the values; inf for fewer than
+        four steps.
     runs, failed : int
-        Runs that were evaluated, and how many of them failed or ended too early.
+        Number of runs, and of runs that failed or ended too early.
     best : Path
         The folder of the run with these parameters.
     notes : list of str
-        What is to be known.
+        Notes for the user.
     """
 
     values: dict[str, float]
@@ -98,7 +97,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Point:
-    """One evaluated parameter set: the history of its run and its values at the measured places, or why it has none."""
+    """One evaluated parameter set: the history of its run and values at the measured positions, or the failure."""
 
     folder: Path
     history: Mapping[str, Any] = field(default_factory=dict)
@@ -106,7 +105,7 @@ class Point:
     values: Float | None = None
 
     def read_off(self, curve: Curve) -> Point:
-        """Return the point with the values of its history at the places of a curve."""
+        """Return the point with the values of its history at the positions of a curve."""
         if self.failure:
             return self
         try:
@@ -132,7 +131,7 @@ class _Search:
         return {name: float(f"{one.at(share):.{DIGITS}g}") for (name, one), share in shares}
 
     def at(self, places: Sequence[Float]) -> list[Point]:
-        """Return the point at each place; those that are not known are run side by side."""
+        """Return the point of each parameter vector; unknown points are run in parallel."""
         sets = [self.values(x) for x in places]
         keys = [tuple(one.values()) for one in sets]
         new = {key: one for key, one in zip(keys, sets, strict=True) if key not in self.known}
@@ -145,22 +144,22 @@ class _Search:
         return [self.known[key] for key in keys]
 
     def residual(self, x: Float) -> Float:
-        """Return the residuals over their scale; without finite numbers where the run has no curve."""
+        """Return the residuals over their scale; not finite if the run has no curve."""
         values = self.at([x])[0].values
         if values is None:
-            # SciPy takes a shorter step then.
+            # SciPy then tries a shorter step.
             return np.full(len(self.curve.x), np.nan)
         return np.asarray((values - self.curve.y) / self.curve.scale)
 
     def least(self, x: Float) -> Float:
-        """Return the shares where least squares ends; raises SolveError if it does not converge."""
+        """Return the shares at the end of least squares; raise SolveError if it does not converge."""
         found = self._minimise(x, self.jacobian, (1e-9, 1e-5, 1e-9), max(self._most, 1))
         if found.status <= 0:
             raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
         return np.asarray(found.x)
 
     def refined(self, x: Float) -> Float:
-        """Return the shares where least squares with central differences ends after a few runs."""
+        """Return the shares at the end of least squares with central differences, after a few runs."""
         return np.asarray(self._minimise(x, self.central_jacobian, (1e-12, 1e-7, 1e-12), AGAIN).x)
 
     def _minimise(self, x: Float, jacobian: Callable[[Float], Float], tolerances: tuple[float, ...], most: int) -> Any:
@@ -173,19 +172,19 @@ class _Search:
         )  # fmt: skip
 
     def lower(self, x: Float, step: Float) -> Float | None:
-        """Return shares along a step where the sum of squares is less, None where it is not.
+        """Return shares along a step with a smaller sum of squares; None if there are none.
 
         Raises
         ------
         SolveError
-            Runs fail along it.
+            Runs along the step fail.
         """
         here, why = float(np.sum(self.residual(x) ** 2)), ""
         least = 0.5 * LEFT**2 / (len(self.curve.x) - len(x))
         for part in 0.5 ** np.arange(0.0, 8.0):
             place = np.clip(x + part * step, 0.0, 1.0)
             why = why or self.at([place])[0].failure
-            # A place without a curve has no sum of squares, which is then not less.
+            # Parameters without a curve have no sum of squares and are not accepted.
             if float(np.sum(self.residual(place) ** 2)) < (1.0 - least) * here:
                 return np.asarray(place)
         if why:
@@ -196,7 +195,7 @@ class _Search:
         return None
 
     def failing(self, x: Float) -> list[str]:
-        """Return the parameters in which the neighbours for differences have no curve."""
+        """Return the parameters for which differences fail because neighbours have no curve."""
         sides = [self._moved(x, j, step) for j in range(len(x)) for step in (STEP, -STEP)]
         inside = [(k // 2, side) for k, side in enumerate(sides) if np.all((side >= 0.0) & (side <= 1.0))]
         names = list(self.ranges)
@@ -204,7 +203,7 @@ class _Search:
         return list(dict.fromkeys(names[j] for (j, _), point in found if point.failure))
 
     def jacobian(self, x: Float) -> Float:
-        """Return the derivatives of the residuals by the shares (m, n), by differences to one side."""
+        """Return the derivatives of the residuals by the shares (m, n), by one-sided differences."""
         return self._derivatives(x, np.zeros(len(x), dtype=bool))
 
     def central_jacobian(self, x: Float) -> Float:
@@ -216,7 +215,7 @@ class _Search:
         steps = np.where(x + STEP <= 1.0, STEP, -STEP)
         sides = [[self._moved(x, j, steps[j])] for j in range(len(x))]
         points = [[point] for point in self.at([side for (side,) in sides])]
-        # The other side of a parameter is run where both are asked for, or the run of the first one failed.
+        # The other side of a parameter is run for central differences, or if the first side failed.
         back = [j for j, (point,) in enumerate(points) if point.failure or central[j]]
         for j, point in zip(back, self.at([self._moved(x, j, -steps[j]) for j in back]), strict=True):
             sides[j].append(self._moved(x, j, -steps[j]))
@@ -244,23 +243,23 @@ class _Search:
 
 
 def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: int = 500) -> Fit:
-    """Return the parameters whose curve is nearest to the measured one, by least squares.
+    """Compute the parameters with the least-squares fit to the measured curve.
 
-    The sum of squares of ``(f(x_k; p) - y_k) / s`` is made least within the ranges by SciPy's trust region reflective
-    method (Branch1999) over shares of the ranges, with differences of ``STEP`` for the Jacobian ``J``. A parameter set
-    whose run fails, or does not reach the measured places, is no number: a shorter step is taken. Standard errors are
-    the roots of the diagonal of ``s^2 (J^T J)^-1`` by central differences.
+    SciPy's trust region reflective method (Branch1999) minimises the sum of squares of ``(f(x_k; p) - y_k) / s`` over
+    shares of the ranges, with differences of ``STEP`` for the Jacobian ``J``. If a run fails, or does not reach the
+    measured positions, a shorter step is tried. Standard errors are the roots of the diagonal of ``s^2 (J^T J)^-1`` by
+    central differences.
 
     Parameters
     ----------
     evaluate : callable
         Runs parameter sets and returns a ``Point`` for each.
     ranges : mapping of str to Range
-        Where each parameter is sought.
+        The range of each parameter.
     curve : Curve
-        What was measured.
+        The measured curve.
     most : int
-        Runs after which it is given up.
+        Largest number of runs.
 
     Returns
     -------
@@ -269,11 +268,11 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     Raises
     ------
     CaseError
-        There are fewer measured points than parameters and one.
+        There are not more measured points than parameters.
     SolveError
-        The first run gives no curve, the search has not ended, parameters cannot be told apart by this curve, one of
-        them has ended at an end of its range or where runs fail, or a constant is nearer to the measured values. All
-        runs stay.
+        The first run has no curve, the search does not converge, the curve does not distinguish the parameters, one of
+        them is at the end of its range or next to failing runs, or a constant fits the measured values better. All runs
+        remain.
     """
     n, m = len(ranges), len(curve.x)
     if n == 0:
@@ -291,7 +290,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     J = _identified(search, x)
     rounds = 0
     while (step := _left(search, x, J)) is not None:
-        # Differences to one side shift the least square, and a short step is none where the residuals are small.
+        # One-sided differences shift the minimum; a short step is not significant if the residuals are small.
         further = search.refined(x) if rounds == 0 else search.lower(x, step)
         if further is None:
             break
@@ -302,7 +301,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     point = search.at([x])[0]
     values, r = np.asarray(point.values), search.residual(x)
     square = float(r @ r) / (m - n)
-    # Where every residual is zero, errors are, and correlations are those that any residual has.
+    # If all residuals are zero, so are the errors; correlations are those of any residual.
     inverse = np.linalg.inv(J.T @ J)
     spread = np.sqrt(np.diag(inverse))
     deviation = spread * (1.0 if curve.sigma is not None else math.sqrt(square))
@@ -327,12 +326,12 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
 
 
 def _identified(search: _Search, x: Float) -> Float:
-    """Return the Jacobian by central differences where the search has ended.
+    """Return the Jacobian by central differences at the end of the search.
 
     Raises
     ------
     SolveError
-        Parameters cannot be told apart by the curve, or one has ended at an end of its range.
+        The curve does not distinguish the parameters, or one is at the end of its range.
     """
     J, curve, ranges = search.central_jacobian(x), search.curve, search.ranges
     _refuse_unidentified(J * (curve.scale / np.abs(curve.y).max())[:, None], list(ranges))
@@ -346,17 +345,17 @@ def _identified(search: _Search, x: Float) -> Float:
 
 
 def _left(search: _Search, x: Float, J: Float) -> Float | None:
-    """Return the Gauss-Newton step that is left where the search has ended, None where it is none (n,).
+    """Return the remaining Gauss-Newton step at the end of the search (n,); None if it is negligible.
 
     Raises
     ------
     SolveError
-        Runs fail next to where a step is left: the least square lies where they do.
+        Runs fail along a remaining step: the minimum is among failing runs.
     """
     r = search.residual(x)
     step = np.asarray(np.linalg.lstsq(J, -r, rcond=None)[0])
     m, n = J.shape
-    # The step over standard errors, whatever the units and the number of points.
+    # The step over standard errors, in any unit and for any number of points.
     if np.sum((J @ step) ** 2) * (m - n) <= LEFT**2 * np.sum(r**2) or np.abs(step).max() <= NEAR:
         return None
     if near := search.failing(x):
@@ -368,7 +367,7 @@ def _left(search: _Search, x: Float, J: Float) -> Float | None:
 
 
 def _refuse_unexplained(fit: Fit) -> None:
-    """Raise SolveError where a constant is as near to the measured values as what was found."""
+    """Raise SolveError if a constant fits the measured values as well as the fitted curve."""
     if fit.explained > 0.0 or fit.rms <= CLOSE * scaled_norm(fit.curve.y):
         return
     share = f" ({fit.explained:.2g} of the variance is explained)" if math.isfinite(fit.explained) else ""
@@ -404,7 +403,7 @@ def _notes(fit: Fit, ranges: Mapping[str, Range], deviation: Float) -> list[str]
 
 
 def _between_steps(history: Mapping[str, Any], curve: Curve) -> float:
-    """Return a third of what every second step alone would change: the error of lines between the steps."""
+    """Return the error of linear interpolation between steps: a third of the change without every second step."""
     kept = {name: np.asarray(history[name], dtype=float) for name in (curve.x_name, curve.y_name)}
     n = len(kept[curve.x_name])
     if n < 4:
@@ -414,7 +413,7 @@ def _between_steps(history: Mapping[str, Any], curve: Curve) -> float:
 
 
 def _refuse_unidentified(J: Float, names: Sequence[str]) -> None:
-    """Raise SolveError where the curve does not tell the parameters."""
+    """Raise SolveError if the curve does not determine the parameters."""
     length = np.linalg.norm(J, axis=0) / math.sqrt(len(J))
     for name, size in zip(names, length, strict=True):
         if size < NOTHING:
@@ -451,36 +450,36 @@ def fit(
     most: int = 500,
     progress: Progress | None = None,
 ) -> Fit:
-    """Find parameters of a case whose history is that of a measured curve.
+    """Fit parameters of a case to a measured curve.
 
-    Every parameter set is a run in the folder, which is a study: what is there is not run again, so that a fit that
-    was stopped goes on when it is called again. See ``fitted`` for the method.
+    Every parameter set is a run in the folder of a study. Finished runs are not repeated: call a stopped fit again to
+    continue. See ``fitted`` for the method.
 
     Parameters
     ----------
     case : str or Path
         The case file.
     ranges : mapping of str to Range, or to (low, high) or (low, start, high)
-        Where each parameter is sought.
+        The range of each parameter.
     to : str, Path or (x, y)
-        A CSV with a header, or places and values.
+        A CSV with a header, or positions and values.
     columns : tuple of str
-        The columns of the history that are places and values; ``"u:displacement"`` where the CSV names it otherwise.
-        The places of a run must go one way; they must reach all measured ones.
+        The columns of positions and values in the history; ``"u:displacement"`` if the CSV has another name for the
+        column. Positions of a run must be monotonic and include the range of the measured ones.
     folder : str or Path, optional
-        ``out/fit_CASE`` by default; gets ``fit.json``, ``fit.csv`` and a folder for each run.
+        By default ``out/fit_CASE``; contains ``fit.json``, ``fit.csv`` and a folder for each run.
     fixed : mapping, optional
         Other parameters of the case.
     sigma : str or (m,) array, optional
         Standard deviations of the measured values: a column, or numbers.
     within : (low, high), optional
-        Places outside of which nothing is compared.
+        Range of positions for the comparison.
     ranks, jobs, options, retry, launcher
         As for ``study``.
     most : int
-        Runs after which it is given up.
+        Largest number of runs.
     progress : Progress, optional
-        Is told of every run.
+        Receives the progress of runs.
 
     Returns
     -------
@@ -491,11 +490,11 @@ def fit(
     CaseError
         The case, a parameter, the curve or the folder is wrong.
     SolveError
-        As ``fitted`` does; all runs stay in the folder.
+        As for ``fitted``; all runs remain in the folder.
 
     Notes
     -----
-    Not collective: it is called by one process, without mpirun.
+    Not collective: call it from one process, without mpirun.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Runs as processes of their own, several at a time, that end with the process that started them."""
+"""Runs in separate processes, several at a time, that end with the starting process."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from pdpetsc.errors import CaseError
 from pdpetsc.machine import cores, threads
 
 PACKAGE = Path(__file__).parent.parent
-# What starts ranks, unless the user says otherwise.
+# Default launcher of ranks.
 LAUNCHER = "mpirun -n {ranks}"
-# Between two looks at the runs that go on [s].
+# Interval of polling runs [s].
 LOOK = 0.02
-# What a run may take to end that was asked to [s].
+# Time limit for a run to end after a request [s].
 ENDING = 10.0
-# Linux: the signal that a process gets when the one that started it has ended.
+# Linux: the option for a signal to a process when its parent ends.
 _PR_SET_PDEATHSIG = 1
 
 
 class Job:
-    """One run in a process of its own.
+    """One run in a separate process.
 
     Parameters
     ----------
     words : sequence of str
         The command.
     log : Path
-        Where its output goes.
+        File of its output.
     """
 
     def __init__(self, words: Sequence[str], log: Path) -> None:
@@ -51,7 +51,7 @@ class Job:
 
         try:
             with log.open("w") as stream:
-                # A session of its own: Ctrl-C is for the study, which ends its runs.
+                # A separate session: Ctrl-C goes to the study, which ends its runs.
                 self._process = subprocess.Popen(
                     list(words), stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
                     env=_unbound(environment()), start_new_session=True, preexec_fn=with_its_parent,
@@ -61,12 +61,12 @@ class Job:
 
     @property
     def ended(self) -> int | None:
-        """Return its exit status, negative after a signal; None while it goes on."""
+        """Return its exit status, negative after a signal; None while it runs."""
         return self._process.poll()
 
     @property
     def said(self) -> str:
-        """Return the sentence that it ended with."""
+        """Return its last message."""
         try:
             text = self.log.read_text(errors="replace")
         except OSError:
@@ -75,12 +75,12 @@ class Job:
         return lines[-1] if lines else (text.strip().splitlines() or ["no message."])[-1]
 
     def ask_to_end(self) -> None:
-        """Send it the signal to end."""
+        """Send the signal to end."""
         with contextlib.suppress(OSError):
             self._process.terminate()
 
     def end(self, within: float) -> None:
-        """Wait until it has ended, and kill it and what it started where that takes longer [s]."""
+        """Wait for its end at most ``within`` [s], then kill it and its child processes."""
         try:
             self._process.wait(timeout=within)
         except subprocess.TimeoutExpired:
@@ -90,7 +90,7 @@ class Job:
 
 
 def end_all(jobs: Sequence[Job]) -> None:
-    """End runs that go on."""
+    """End active runs."""
     for job in jobs:
         job.ask_to_end()
     until = time.monotonic() + ENDING
@@ -109,7 +109,7 @@ def launched(words: Sequence[str], ranks: int, launcher: str | None) -> list[str
     Raises
     ------
     CaseError
-        The launcher does not say where the number of ranks goes.
+        The launcher does not contain the number of ranks.
     """
     if launcher is None and ranks == 1:
         return list(words)
@@ -130,7 +130,7 @@ def environment() -> dict[str, str]:
 
 
 def too_many(jobs: int, ranks: int) -> str:
-    """Return a warning where runs side by side take more cores than there are; empty otherwise."""
+    """Return a warning if parallel runs use more cores than available, else an empty text."""
     wanted, there = jobs * ranks * threads(), cores()
     if wanted <= there:
         return ""
@@ -139,7 +139,7 @@ def too_many(jobs: int, ranks: int) -> str:
 
 
 def _unbound(found: dict[str, str]) -> dict[str, str]:
-    """Let Open MPI bind no ranks to cores: every mpirun of its own would take the first ones."""
+    """Disable binding of ranks by Open MPI: otherwise every mpirun would use the first cores."""
     found.setdefault("OMPI_MCA_hwloc_base_binding_policy", "none")
     found.setdefault("PRTE_MCA_hwloc_default_binding_policy", "none")
     return found

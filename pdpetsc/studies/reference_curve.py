@@ -1,4 +1,4 @@
-"""A measured curve, and the history of a run read off at its places."""
+"""A measured curve, and interpolation of the history of a run at its positions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pdpetsc.bounds import text_in
 from pdpetsc.errors import CaseError
 from pdpetsc.studies.sets import rows_of
 
-# How far a measured place may lie beyond the history of a run, over the length of that [-]: what adding steps leaves.
+# Tolerance for measured positions beyond the history of a run, over its length [-]: round-off of added steps.
 SLACK = 1e-9
 
 
@@ -26,11 +26,11 @@ class Curve:
     Attributes
     ----------
     x_name, y_name : str
-        The columns of a run's history that it is compared with.
+        The columns of the history of a run to compare with.
     x, y : (m,) float64
-        Measured places and values.
+        Measured positions and values.
     sigma : (m,) float64 or None
-        Standard deviation of each value, where it is known.
+        Standard deviation of each value, if it is known.
     """
 
     x_name: str
@@ -51,11 +51,11 @@ class Curve:
 
     @property
     def scale(self) -> Float:
-        """Return what residuals are divided by: the standard deviations, or the largest measured value (m,)."""
+        """Return the scale of residuals: the standard deviations, or the largest measured value (m,)."""
         return np.full(len(self.x), np.abs(self.y).max()) if self.sigma is None else self.sigma
 
     def within(self, low: float, high: float) -> Curve:
-        """Return the part between two places; raises CaseError where there is none."""
+        """Return the part between two positions; raise CaseError if it is empty."""
         inside = (self.x >= low) & (self.x <= high)
         if not inside.any():
             raise CaseError(f"No measured place lies between {low:g} and {high:g}.")
@@ -73,14 +73,14 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     path : Path
         The file.
     columns : tuple of str
-        Names of places and values in the history of the runs; ``"u:displacement"`` where the file says otherwise.
+        Names of positions and values in the history of the runs; ``"u:displacement"`` if the file has another name.
     sigma : str, optional
         The column of standard deviations.
 
     Raises
     ------
     CaseError
-        There is no such file or column, or something else than numbers in it.
+        The file or column does not exist, or has other data than numbers.
     """
     text = text_in(path, "measured curve")
     names, there = zip(*((name, other or name) for name, _, other in (c.partition(":") for c in columns)), strict=True)
@@ -104,12 +104,12 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
 
 
 def read_off(history: Mapping[str, Any], curve: Curve) -> Float:
-    """Return the history of a run at the measured places, on the lines between its steps (m,).
+    """Return the history of a run at the measured positions, interpolated linearly (m,).
 
     Raises
     ------
     CaseError
-        The history has no such column, turns back in it, or does not reach all measured places.
+        The history does not have the column, is not monotonic in it, or does not include all measured positions.
     """
     for name in (curve.x_name, curve.y_name):
         if name not in history:

@@ -12,21 +12,20 @@ import numpy as np
 
 from pdpetsc.errors import CaseError
 
-# Differences of results below this share of them are of the solvers that found them, not of the size [-], where nobody
-# knows better.
+# Relative differences of results below this are errors of the solver, not of the size [-], by default.
 NOISE = 1e-6
-# Orders of different sizes that are apart by more than this share are not those of small sizes [-].
+# If orders of different sizes differ by more than this share, sizes are not in the asymptotic range [-].
 APART = 0.25
-# Roache's factors of safety on the estimated error: where other sizes confirm the order, and where none is left to.
+# Roache's factors of safety on the estimated error: if other sizes confirm the order, and if there are none.
 CONFIRMED, ALONE = 1.25, 3.0
-# An observed order above this is not trusted to make an error bar small.
+# Largest order used for an error bar.
 TRUSTED = 2.0
 HIGHEST = 20.0
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """How one result converges as one parameter gets small.
+    """Convergence of one result under refinement of one parameter.
 
     Attributes
     ----------
@@ -35,20 +34,20 @@ class Convergence:
     group : mapping of str to str
         The other parameters.
     sizes, values : tuple of float
-        From the largest size to the smallest.
+        Sizes and results, from the largest size to the smallest.
     order : float or None
-        Observed order; None where ``note`` says why there is none.
+        Observed order; None if there is none, with the reason in ``note``.
     orders : tuple of float
-        Those of three neighbouring sizes, or of two where the exact value is given, which the note judges.
+        Orders of three neighbouring sizes, or of two with an exact value.
     extrapolated : float or None
-        What the result goes to.
+        Extrapolated limit of the result.
     error_bar : float or None
         Grid Convergence Index of the smallest size, in the unit of the result: the limit is expected within
         ``values[-1]`` plus and minus this.
     exact : float or None
-        The value that the order is of, where it was given.
+        The exact value for the order, if declared.
     note : str
-        What is to be known of it.
+        Note for the user.
     """
 
     result: str
@@ -67,38 +66,37 @@ def converging(
     result: str, sizes: Sequence[float], values: Sequence[float], exact: float | None = None,
     group: Mapping[str, str] | None = None, noise: float = NOISE,
 ) -> Convergence:  # fmt: skip
-    """Return how a result converges with its size.
+    """Compute the order of convergence of a result.
 
-    ``f(h) = f_0 + C h^p`` is put through the three smallest sizes. The error bar of the smallest one is the Grid
+    ``f(h) = f_0 + C h^p`` is fitted to the three smallest sizes. The error bar of the smallest one is the Grid
     Convergence Index ``F_s |f_2 - f_1| / (r^p - 1)`` (Roache1998) with ``r = h_2 / h_1``, and ``p`` of at most 2:
-    ``F_s`` is 1.25 where a fourth size gives the same order to a quarter, and 3 where there are three sizes only. With
-    an exact value ``p`` is the slope of the line that fits the logarithms of the errors of the three smallest sizes
-    best.
+    ``F_s`` is 1.25 if a fourth size confirms the order within a quarter, and 3 for three sizes. With an exact value
+    ``p`` is the slope of the line of best fit to the logarithms of the errors of the three smallest sizes.
 
     Parameters
     ----------
     result : str
         Its name.
     sizes, values : sequences of float
-        Positive sizes, in any order, and the result at each.
+        Positive sizes, in any order, and the result for each.
     exact : float, optional
-        The value of the limit, from elsewhere.
+        The exact limit, from another source.
     group : mapping, optional
         The other parameters.
     noise : float
-        Share of a result that its solver leaves open.
+        Relative error of a result by the tolerance of its solver.
 
     Returns
     -------
     Convergence
-        Without an order, and with a note why, where there are fewer than three sizes (two with an exact value), where
-        the results do not approach a limit monotonically, where they differ by what solvers leave only, or where the
-        orders of different sizes are apart: the sizes are not small enough then.
+        Without an order, and with the reason in ``note``, if there are fewer than three sizes (two with an exact
+        value), if the results do not approach a limit monotonically, if they differ only by the tolerance of solvers,
+        or if the orders of different sizes differ: the sizes are then not small enough.
 
     Raises
     ------
     CaseError
-        A size is not positive, or there twice, or a value is not finite.
+        A size is not positive or occurs twice, or a value is not finite.
 
     Examples
     --------
@@ -133,7 +131,7 @@ def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float)
     orders = tuple((steps[1] / steps[0]).tolist())
     if min(orders) <= 0.0:
         return {"orders": orders, "note": "the error does not fall with the size"}
-    # Only the sizes that are judged below: larger ones are not small enough, or not known to be.
+    # Only the sizes used below: larger ones may not be small enough.
     slope = float(np.polyfit(logs[0, -3:], logs[1, -3:], 1)[0])
     if len(orders) == 1:
         note = "two sizes cannot tell whether they are small enough"
@@ -179,11 +177,11 @@ def _extrapolated(h: Sequence[float], f: Sequence[float], noise: float) -> dict[
 
 
 def _order(h: Sequence[float], steps: Sequence[float]) -> float | None:
-    """Return p of ``f_0 + C h^p`` through three sizes from its two differences; None where no p > 0 gives them."""
+    """Return p of ``f_0 + C h^p`` through three sizes from two differences; None if there is no p > 0."""
     asked = steps[0] / steps[1]
 
     def ratio(p: float) -> float:
-        """Return the first difference over the second one, which grows with p."""
+        """Return the ratio of the first to the second difference, which grows with p."""
         a, b = h[0] / h[1], h[1] / h[2]
         return float((a**p - 1.0) / (1.0 - b**-p))
 

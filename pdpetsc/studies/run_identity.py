@@ -1,4 +1,4 @@
-"""The identity of a run, found by a process of its own that calls the case file."""
+"""The identity of a run, computed by a separate process that calls the case file."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from pdpetsc.errors import CaseError
 from pdpetsc.machine import digest_of
 from pdpetsc.studies.jobs import PACKAGE, environment
 
-# Rooms of the package that no number of a run depends on.
+# Subpackages without effect on the results of a run.
 BESIDE = ("studies", "command_line")
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run of a parameter set, and what identifies it.
+    """A run of a parameter set, with its identity.
 
     Attributes
     ----------
     parameters : mapping of str to str
         The arguments of the run on its command line.
     identity : mapping
-        Two runs with the same identity are the same: parameters, declared values, fingerprints of the input files,
-        options, ranks and versions. Empty for a refused run.
+        Parameters, declared values, fingerprints of the input files, options, ranks and versions. Runs with equal
+        identity have equal results. Empty for a refused run.
     refused : str
         Why the case refuses these parameters; empty if it accepts them.
     expected : mapping of str to float
@@ -52,7 +52,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class CaseFile:
-    """A case file that another process reads anew for each list of parameter sets.
+    """A case file, which another process loads again for each list of parameter sets.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class CaseFile:
         return kinds
 
     def plan(self, sets: Iterable[Mapping[str, str]]) -> list[PlannedRun]:
-        """Return the runs of some parameter sets, each once: 1 and 1.0 are one number.
+        """Return the runs of parameter sets, each once: 1 and 1.0 are equal.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class CaseFile:
 
 
 def own_sources() -> str:
-    """Return the fingerprint of the sources that results depend on: a checkout changes and keeps its version."""
+    """Return the fingerprint of the sources that affect results: a checkout may change without a new version."""
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         relative = path.relative_to(PACKAGE)
@@ -141,5 +141,5 @@ def contents(paths: Iterable[str | Path], folder: Path) -> dict[str, str]:
 
 
 def differing(fingerprints: Mapping[str, str], folder: Path) -> list[str]:
-    """Return the names of files relative to a folder whose content is not that of their fingerprints."""
+    """Return the names of files, relative to a folder, that differ from their fingerprints."""
     return [name for name, fingerprint in fingerprints.items() if content(folder / name) != fingerprint]

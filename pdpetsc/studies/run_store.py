@@ -1,4 +1,4 @@
-"""The folders of a study and of its runs, and what is kept there of runs that have ended."""
+"""The folders of a study and of its runs, and the records of finished runs."""
 
 from __future__ import annotations
 
@@ -16,48 +16,48 @@ from pdpetsc.output.files import write_whole
 from pdpetsc.studies.refinement import NOISE
 from pdpetsc.studies.run_identity import contents, differing
 
-# Marks a folder that a study has made: nothing is written to another one that is not empty.
+# Marks a folder created by a study; other folders must be empty.
 MARK = ".pdpetsc-study"
-# What a run left and how it ended.
+# The record of the end of a run.
 RECORD = "outcome.json"
 # Output of the run.
 LOG = "log.txt"
-# Files of a run that its record is true of.
+# Files of a run that its record describes.
 KEPT = ("summary.json", "history.csv")
-# What the record has of an outcome, beside the identity of the run and its files.
+# Fields of an outcome in the record, besides the identity of the run and its files.
 RECORDED = ("parameters", "status", "exit_status", "said", "results", "seconds", "memory", "unstable", "noise")
-# A name longer than this is cut, and made unique by a fingerprint.
+# A longer name is cut, and made unique by a fingerprint.
 LONGEST = 80
 
 
 @dataclass(frozen=True)
 class Outcome(Declared):
-    """How one run ended.
+    """The outcome of one run.
 
     Attributes
     ----------
     parameters : mapping of str to str
-        What the run was given.
+        Parameters of the run.
     folder : Path
-        Where it ran.
+        Folder of the run.
     status : {"finished", "failed"}
-        Finished means that it ended with exit status 0 and that its summary says so too. A failed run has no results.
+        Finished: the exit status is 0, and the summary agrees. A failed run has no results.
     exit_status : int
-        Of the process, negative after a signal.
+        Exit status of the process, negative after a signal.
     said : str
-        The sentence that a failed run ended with.
+        The message of a failed run.
     results : mapping of str to float
         Its named results.
     seconds : float
-        Of set-up and solve.
+        Time of set-up and solve.
     memory : float
-        The most that its ranks took, together [MiB].
+        Peak memory of all ranks together [MiB].
     unstable : int
-        Load steps whose equilibrium is unstable.
+        Number of load steps with an unstable equilibrium.
     noise : float
-        Share of a result that its solver leaves open.
+        Relative error of a result by the tolerance of its solver.
     changed : bool
-        It failed as the case or its files changed while it ran, and is not kept.
+        True if it failed because the case or its files changed during the run; such an outcome is not stored.
     """
 
     parameters: Mapping[str, str]
@@ -74,22 +74,22 @@ class Outcome(Declared):
 
     @property
     def finished(self) -> bool:
-        """Return whether the run ended as it should."""
+        """Return True if the run finished."""
         return self.status == "finished"
 
     @property
     def name(self) -> str:
-        """Return its parameters in one word."""
+        """Return its parameters as one word."""
         return named(self.parameters) or self.folder.name
 
 
 def named(parameters: Mapping[str, str]) -> str:
-    """Return parameters in one word."""
+    """Return parameters as one word."""
     return ",".join(f"{name}={value}" for name, value in parameters.items())
 
 
 def folder_of(study: Path, parameters: Mapping[str, str]) -> Path:
-    """Return the folder of a run in that of its study: another one for every parameter set, whatever its order."""
+    """Return the folder of a run in that of its study: unique for every parameter set, in any order."""
     text = named(dict(sorted(parameters.items()))) or "run"
     plain = re.sub(r"[^A-Za-z0-9=,._-]", "_", text)
     if plain != text or len(plain) > LONGEST or plain.startswith("."):
@@ -98,19 +98,19 @@ def folder_of(study: Path, parameters: Mapping[str, str]) -> Path:
 
 
 def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
-    """Make a folder that a study may write to, or find that it is one.
+    """Create a folder for a study, or check an existing one.
 
     Parameters
     ----------
     folder : Path
-        Of the study, or of one of its runs.
+        Folder of the study, or of one of its runs.
     writes : tuple of str
-        Where given the folder may hold other things, but nothing under these names.
+        If given, the folder may have other files, but none with these names.
 
     Raises
     ------
     CaseError
-        It is no folder, cannot be written to, or holds files that no study has written.
+        The path is no folder, cannot be written to, or has files not written by a study.
     """
     try:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -129,14 +129,14 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
 
 
 def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
-    """Write how a run ended into its folder; raises OutputError."""
+    """Write the outcome of a run to its folder, or raise OutputError."""
     record = {name: getattr(outcome, name) for name in RECORDED}
     record |= {"identity": identity, "files": contents([outcome.folder / name for name in KEPT], outcome.folder)}
     write_whole(outcome.folder / RECORD, json.dumps(record, indent=1) + "\n")
 
 
 def kept(folder: Path, identity: Mapping[str, Any]) -> tuple[Outcome | None, str]:
-    """Return the outcome of an earlier run with the same identity, or None and what differs."""
+    """Return the outcome of an earlier run with equal identity, or None and the difference."""
     try:
         record = json.loads((folder / RECORD).read_text())
         outcome = Outcome(folder=folder, **{name: record[name] for name in RECORDED})

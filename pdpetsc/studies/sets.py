@@ -1,4 +1,4 @@
-"""Parameter sets: every combination of some values, lists and samples from a file."""
+"""Parameter sets: combinations of values, and lists and samples from a file."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ T = TypeVar("T", bound=Declared)
 
 @dataclass(frozen=True)
 class Range(Declared):
-    """Numbers between two ends.
+    """A range of numbers.
 
     Parameters
     ----------
     low, high : float
         The ends.
     start : float, optional
-        Where a search begins, the middle by default.
+        Start of a search; by default the middle.
     scale : {"linear", "log", "integer"}
-        What is even along the range: the number, its logarithm, or the whole numbers.
+        Spacing along the range: linear, logarithmic, or integers.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class Range(Declared):
             raise CaseError(f"The start {self.start:g} is not between {self.low:g} and {self.high:g}.")
 
     def at(self, share: float) -> float:
-        """Return the number at a share in [0, 1] of the range; a share below 1 for whole numbers."""
+        """Return the number at a share in [0, 1] of the range; in [0, 1) for integers."""
         if self.scale == "integer":
             return int(self.low) + int(share * (self.high - self.low + 1))
         if self.scale == "log":
@@ -73,7 +73,7 @@ class Range(Declared):
 
     @property
     def first(self) -> float:
-        """Return the share at which a search begins."""
+        """Return the share at the start of a search."""
         if self.start is None:
             return 0.5
         if self.scale == "log":
@@ -83,18 +83,18 @@ class Range(Declared):
 
 @dataclass(frozen=True)
 class Samples(Declared):
-    """Points that fill ranges evenly: those of a Latin hypercube or of Sobol's sequence.
+    """Points that fill ranges evenly, from a Latin hypercube or a Sobol sequence.
 
     Parameters
     ----------
     method : {"latin_hypercube", "sobol"}
-        How they are drawn.
+        Sampling method.
     n : int
-        Their number, a power of two for Sobol's.
+        Number of points, a power of two for Sobol.
     ranges : mapping of str to table
         A ``Range``, or its two ends, for each parameter.
     seed : int
-        Points with the same seed are the same.
+        Seed of the sampler; equal seeds give equal points.
     """
 
     method: Literal["latin_hypercube", "sobol"]
@@ -141,7 +141,7 @@ def _made(kind: type[T], table: Any, what: str) -> T:
 
 
 def text_of(value: Any) -> str:
-    """Return a value as the command line takes it: the shortest text that gives the same number back."""
+    """Return the text of a value for the command line: the shortest text that converts to the same number."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -150,7 +150,7 @@ def text_of(value: Any) -> str:
 
 
 def values_in(text: str) -> list[str]:
-    """Return the values of ``NAME=A,B,C``; a comma inside brackets or quotes parts nothing."""
+    """Return the values of ``NAME=A,B,C``; commas inside brackets or quotes do not separate."""
     found, depth, quote = [""], 0, ""
     for letter in text:
         if quote:
@@ -169,7 +169,7 @@ def values_in(text: str) -> list[str]:
 
 
 def grid(choices: Mapping[str, Sequence[Any]]) -> list[Set]:
-    """Return every combination of the values of each parameter, the last one changing quickest.
+    """Return every combination of the values of each parameter, with the last one varying fastest.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def grid(choices: Mapping[str, Sequence[Any]]) -> list[Set]:
 
 
 def combined(first: Iterable[Set], second: Iterable[Set]) -> list[Set]:
-    """Return each set of one list together with each of the other.
+    """Return each set of one list combined with each set of the other.
 
     Raises
     ------
@@ -206,15 +206,15 @@ def combined(first: Iterable[Set], second: Iterable[Set]) -> list[Set]:
 def read_sets(path: Path) -> list[Set]:
     """Return the parameter sets of a file, in its order.
 
-    A CSV has a row a set under a header of names. A JSON is a list of objects, or an object of the tables that a TOML
-    has: ``sets``, each one set; ``grids``, each of lists of values, all combinations; ``samples``, each of ``method``
-    ("latin_hypercube" or "sobol"), ``n``, ``seed`` and ``ranges``, which have ``low``, ``high`` and ``scale``
-    ("linear", "log" or "integer").
+    A CSV has one set per row under a header of names. A JSON is a list of objects, or an object with the tables of a
+    TOML. ``sets`` has one set each. ``grids`` have lists of values, with all combinations. ``samples`` have ``method``
+    ("latin_hypercube" or "sobol"), ``n``, ``seed`` and ``ranges`` with ``low``, ``high`` and ``scale`` ("linear", "log"
+    or "integer").
 
     Raises
     ------
     CaseError
-        There is no such file, or something in it is not one of these.
+        The file does not exist, or has invalid contents.
     """
     kinds = {".csv": _from_csv, ".json": _from_json, ".toml": _from_toml}
     if path.suffix not in kinds:
@@ -233,7 +233,7 @@ def read_sets(path: Path) -> list[Set]:
 
 
 def rows_of(text: str) -> list[list[str]]:
-    """Return the rows of a CSV without empty ones, and their words without spaces around them."""
+    """Return the rows of a CSV without empty ones, with words stripped of spaces."""
     rows = ([word.strip() for word in row] for row in csv.reader(io.StringIO(text, newline="")))
     return [row for row in rows if any(row)]
 

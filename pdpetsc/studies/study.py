@@ -1,4 +1,4 @@
-"""Running one case with many parameter sets, and going on with what is there."""
+"""Runs of one case with many parameter sets, with continuation of earlier studies."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
 from pdpetsc.studies.run_store import LOG, RECORD, Outcome, folder_of, keep, kept, take
 from pdpetsc.studies.sets import grid, text_of
 
-# How long a run that an earlier study left behind may take to end [s].
+# Time limit for the end of a run left by an earlier study [s].
 PATIENCE = 60.0
-# Share of a result that is open, over the tolerance of Newton's residual, and the least that there is [-].
+# Relative error of a result over the tolerance of Newton's residual, and its lower bound [-].
 AMPLIFIED, LEAST_NOISE = 100.0, 1e-8
-# What tells that a launcher of MPI has started this process.
+# Environment variables that show that a launcher of MPI has started this process.
 LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK")
 
 
 class Progress:
-    """Is told how a study goes on; this one keeps it to itself."""
+    """Receives the progress of a study; this base class ignores it."""
 
     def asked(self, count: int) -> None:
-        """Take how many runs there are."""
+        """Receive the number of runs."""
 
     def again(self, run: PlannedRun, why: str) -> None:
-        """Take that a run is run again though there is one."""
+        """Receive the repetition of an existing run, with the reason."""
 
     def started(self, run: PlannedRun) -> None:
-        """Take that a run has been started."""
+        """Receive the start of a run."""
 
     def kept(self, outcome: Outcome) -> None:
-        """Take how a run ended in an earlier study."""
+        """Receive the outcome of a run of an earlier study."""
 
     def ended(self, outcome: Outcome) -> None:
-        """Take how a run ended in this study."""
+        """Receive the outcome of a run of this study."""
 
 
 @dataclass(frozen=True)
@@ -64,23 +64,22 @@ class Runs(Declared):
     case : Path
         The case file.
     folder : Path
-        Of the study.
+        Folder of the study.
     writes : tuple of str
-        Names of the files that the study writes into the folder beside those of its runs.
+        Names of files that the study writes to the folder besides its runs.
     ranks, jobs : int
-        Ranks of each run, and runs side by side.
+        Ranks of each run, and number of parallel runs.
     options : sequence of str
         Words for the command line of every run: PETSc's options, ``--solver NAME``.
     retry : bool
-        Run again what has failed.
+        Repeat failed runs.
     launcher : str, optional
-        What starts ranks, ``mpirun -n {ranks}`` by default.
+        Launcher of ranks; by default ``mpirun -n {ranks}``.
 
     Raises
     ------
     CaseError
-        A number is not positive, the launcher does not say where the number of ranks goes, or MPI has started this
-        process.
+        A number is not positive, the launcher does not contain the number of ranks, or MPI has started this process.
     """
 
     case: Path
@@ -105,12 +104,12 @@ class Runs(Declared):
 
     @contextlib.contextmanager
     def in_folder(self) -> Iterator[None]:
-        """Keep the folder for this study while the body runs; nothing is written before.
+        """Lock the folder for this study while the body runs; nothing is written before.
 
         Raises
         ------
         CaseError
-            The folder is another study's, holds other files under names of this one, or cannot be written to.
+            The folder belongs to another study, has other files with the names of this one, or cannot be written to.
         """
         with holding(alone(), self.folder):
             take(self.folder, self.writes)
@@ -119,27 +118,27 @@ class Runs(Declared):
     def outcomes(
         self, planned: Sequence[PlannedRun], progress: Progress | None = None
     ) -> Generator[list[Outcome], None, None]:
-        """Carry out the runs that have not finished earlier; close the iterator to end those that go on.
+        """Execute the runs that have not finished earlier; close the iterator to end active ones.
 
         Parameters
         ----------
         planned : sequence of PlannedRun
             The runs, at least one.
         progress : Progress, optional
-            Is told of every run.
+            Receives the progress of runs.
 
         Yields
         ------
         list of Outcome
-            How the runs that have ended so far ended, in the order of the planned runs: first the earlier ones, then
-            whenever a run has ended. The last list is complete.
+            The outcomes so far, in the order of the planned runs: first of earlier runs, then after the end of each
+            run. The last list is complete.
 
         Raises
         ------
         CaseError
-            The folder of a run is none that a study has made, holds files of others, or something else runs in it.
+            The folder of a run was not created by a study, has other files, or is in use by another run.
         OutputError
-            How a run ended cannot be written.
+            An outcome cannot be written.
         """
         tell = progress or Progress()
         ended: dict[int, Outcome] = {}
@@ -176,7 +175,7 @@ class Runs(Declared):
     def _next(
         self, planned: Sequence[PlannedRun], waiting: list[int], running: dict[int, Job], tell: Progress
     ) -> Iterator[tuple[int, Outcome]]:
-        """Start runs that wait, and yield the number and outcome of those that have ended."""
+        """Start waiting runs, and yield the number and outcome of those that have ended."""
         while waiting and len(running) < self.jobs:
             number = waiting.pop(0)
             run = planned[number]
@@ -200,23 +199,23 @@ class Runs(Declared):
         return Outcome(run.parameters, self._folder(run), "failed", exit_status, said)
 
     def _changed(self, run: PlannedRun, names: Sequence[str], exit_status: int = 0) -> Outcome:
-        """Return the outcome of a run whose input files are not those it was planned with; it is not kept."""
+        """Return the outcome of a run whose input files have changed since planning; it is not stored."""
         said = f"the case or its files changed while the study ran: {', '.join(names)}."
         failed = self._failed(run, exit_status or SolveError.exit_status, said)
         return dataclasses.replace(failed, changed=True)
 
     def _prepared(self, run: PlannedRun) -> tuple[list[str], Path]:
-        """Make the folder of a run ready; return its command and where its output goes."""
+        """Prepare the folder of a run; return its command and the file of its output."""
         folder = self._folder(run)
         _wait_for_others(folder)
-        # Nothing of an earlier run is left to be taken for what this one gives.
+        # Remove files of an earlier run, so that they cannot be mistaken for results of this run.
         (folder / RECORD).unlink(missing_ok=True)
         set_aside(alone(), folder)
         given = [f"{name}={value}" for name, value in run.parameters.items()]
         return launched(command(self.case, given, folder, self.options), self.ranks, self.launcher), folder / LOG
 
     def _judged(self, run: PlannedRun, job: Job, status: int) -> Outcome:
-        """Return how a run ended, by its exit status and its own summary, and keep that."""
+        """Return and store the outcome of a run, by its exit status and summary."""
         if changed := differing(run.files, self.case.parent):
             return self._changed(run, changed, status)
         folder = self._folder(run)
@@ -225,7 +224,7 @@ class Runs(Declared):
         except CaseError:
             summary = {}
         results = summary.get("results") or {}
-        # A summary of other parameters is not of this run.
+        # A summary with other parameters does not belong to this run.
         own = run.parameters.keys() <= (summary.get("parameters") or {}).keys()
         finished = status == 0 and summary.get("status") == "converged" and own and fits(results, Mapping[str, Finite])
         outcome = Outcome(
@@ -235,14 +234,14 @@ class Runs(Declared):
             working_seconds(summary), mebibytes(summary),
             sum(bool(step.get("negative_pivots")) for step in summary.get("steps") or []), _noise(summary),
         )  # fmt: skip
-        # A run that somebody has stopped has not failed: it is to be run.
+        # A stopped run has not failed; it is run again.
         if summary.get("error") != "Interrupted":
             keep(outcome, run.identity)
         return outcome
 
 
 def _wait_for_others(folder: Path) -> None:
-    """Wait for a run that a study left behind which was killed; raises CaseError where it goes on."""
+    """Wait for a run left by a killed study; raise CaseError if it continues."""
     until = time.monotonic() + PATIENCE
     while (holder := holder_of(folder)) is not None and not holder.gone:
         if time.monotonic() > until:
@@ -251,7 +250,7 @@ def _wait_for_others(folder: Path) -> None:
 
 
 def _noise(summary: Mapping[str, Any]) -> float:
-    """Return the share of a result that the solver of a run leaves open: its tolerance, and what makes of that more."""
+    """Return the relative error of a result by the tolerance of the solver, with its amplification."""
     if not str(summary.get("solver")).startswith("snes"):
         return NOISE
     try:
@@ -263,16 +262,16 @@ def _noise(summary: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True)
 class Study:
-    """What a study has given.
+    """The results of a study.
 
     Attributes
     ----------
     folder : Path
-        Holds ``study.csv``, ``study.json`` and a folder for each run.
+        Folder with ``study.csv``, ``study.json`` and a folder for each run.
     outcomes : list of Outcome
-        One for each parameter set, in their order; failed runs are among them, without results.
+        One outcome per parameter set, in their order; failed runs are included, without results.
     convergence : list of Convergence
-        How each result converges, where that was asked for.
+        Convergence of each result, if ``refine`` is given.
     """
 
     folder: Path
@@ -285,25 +284,25 @@ class Study:
         return [outcome for outcome in self.outcomes if not outcome.finished]
 
     def values(self, name: str) -> dict[str, float]:
-        """Return a result by the name of each run that finished."""
+        """Return a result of each finished run, by the name of the run."""
         return {one.name: one.results[name] for one in self.outcomes if name in one.results}
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Which parameter makes a study finer.
+    """The parameter of refinement of a study.
 
-    ``study`` puts ``f_0 + C h^p`` through each result, with ``h`` this parameter or one over it, for each set of the
-    other parameters.
+    ``study`` fits ``f_0 + C h^p`` to each result, with ``h`` this parameter or its inverse, for each set of the other
+    parameters.
 
     Parameters
     ----------
     of : str
-        ``"dx"`` where it is a size, ``"1/n"`` where it is a number of particles or cells.
+        ``"dx"`` for a size, ``"1/n"`` for a number of particles or cells.
     exact : mapping of str to float
-        Values of results from elsewhere, that errors are of; what the case expects counts as such where ``expected``.
+        Exact values of results for the errors, from another source.
     expected : bool
-        Take what the case expects where ``exact`` has no value.
+        Use the expected results of the case if ``exact`` has no value.
 
     Examples
     --------
@@ -323,7 +322,7 @@ class Refinement:
         return self.of.removeprefix("1/")
 
     def check(self, kinds: Mapping[str, str], sets: Iterable[Mapping[str, str]]) -> None:
-        """Raise CaseError where no parameter of the case is this one, or it is a number of something and no size."""
+        """Raise CaseError if the case does not have the parameter, or if it is a number of something and no size."""
         refuse_unknown([self.name], kinds, "The case has no parameter")
         if kinds[self.name] not in ("int", "float"):
             raise CaseError(f"Parameter {self.name} is no number, so it is no size.")
@@ -333,12 +332,12 @@ class Refinement:
             raise CaseError(f"Every parameter set needs a value of {self.name}, which is to be refined.")
 
     def found(self, outcomes: Sequence[Outcome], planned: Sequence[PlannedRun]) -> list[Convergence]:
-        """Return how each result converges, for each set of the other parameters.
+        """Return the convergence of each result, for each set of the other parameters.
 
         Raises
         ------
         CaseError
-            An exact value is of no result of the runs.
+            An exact value does not belong to a result of the runs.
         """
         groups: dict[str, list[tuple[Outcome, PlannedRun]]] = {}
         for outcome, run in zip(outcomes, planned, strict=True):
@@ -348,7 +347,7 @@ class Refinement:
         if names:
             refuse_unknown(self.exact, names, "The case has no result")
         found = [self._one(name, members) for members in groups.values() for name in names]
-        # A constant, such as an exact value beside the result, converges to nothing.
+        # A constant, such as an exact value among the results, has no order.
         return [one for one in found if one.exact is not None or len(one.values) < 2 or len(set(one.values)) > 1]
 
     def _one(self, name: str, members: Sequence[tuple[Outcome, PlannedRun]]) -> Convergence:
@@ -384,51 +383,51 @@ def study(
     progress: Progress | None = None,
     name: str = "study",
 ) -> Study:
-    """Run a case with many parameter sets, each in a process of its own, and write one table.
+    """Run a case with many parameter sets, each in a separate process, and write one table.
 
-    What the folder already holds is not run again: it is the same case file with all that it imports and declares, the
-    same parameters, options, ranks and pdpetsc, and its files are as they were left. What failed stays so until
-    ``retry``. A study that was stopped, or killed, goes on when it is called again.
+    Runs in the folder are not repeated if the case file with its imports and declarations, parameters, options, ranks
+    and pdpetsc are unchanged, and the files of the run too. Failed runs are repeated only with ``retry``. Call a
+    stopped or killed study again to continue.
 
     Parameters
     ----------
     case : str or Path
         The case file.
     sets : mapping of str to sequence, or sequence of mappings
-        Values of each parameter, of which all combinations are run; or the parameter sets themselves.
+        Values of each parameter, for all combinations; or the parameter sets themselves.
     folder : str or Path, optional
-        Where the table and a folder for each run go: ``out/study_CASE`` by default.
+        Folder of the table and of the runs; by default ``out/study_CASE``.
     ranks, jobs : int
-        Ranks of each run, and runs side by side.
+        Ranks of each run, and number of parallel runs.
     options : sequence of str
-        Words for the command line of each run, as ``["-pc_type", "lu"]``.
+        Words for the command line of each run, such as ``["-pc_type", "lu"]``.
     retry : bool
-        Run again what has failed.
+        Repeat failed runs.
     launcher : str, optional
-        What starts ranks: ``"mpirun -n {ranks}"`` by default, and nothing on one rank.
+        Launcher of ranks; by default ``"mpirun -n {ranks}"``, and none for one rank.
     refine : Refinement or str, optional
-        The parameter that makes the study finer: orders of convergence are found along it.
+        The parameter of refinement, for orders of convergence.
     progress : Progress, optional
-        Is told of every run.
+        Receives the progress of runs.
     name : str
-        Of the tables.
+        Name of the tables.
 
     Returns
     -------
     Study
-        Outcomes of all runs; those that failed have no results.
+        Outcomes of all runs; failed runs have no results.
 
     Raises
     ------
     CaseError
-        The case file cannot be read, a parameter is not one of the case or has no such value, every set is refused by
-        the case, or the folder is in use or not a study's. Nothing was run.
+        The case file cannot be read, a parameter or its value does not fit the case, every set is refused by the case,
+        or the folder is in use or not of a study. Nothing was run.
     OutputError
         A table cannot be written.
 
     Notes
     -----
-    Not collective: it is called by one process, without mpirun.
+    Not collective: call it from one process, without mpirun.
 
     Examples
     --------

@@ -20,14 +20,14 @@ from pdpetsc.studies.run_store import Outcome
 
 
 def names(name: str) -> tuple[str, ...]:
-    """Return the names of the files that ``write`` writes, and of the picture."""
+    """Return the names of the files of ``write``, and of the picture."""
     return f"{name}.csv", f"{name}.json", f"{name}_order.csv", f"{name}.png"
 
 
 def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[Convergence]) -> None:
-    """Write ``NAME.csv``, a row a run, and ``NAME.json``; ``NAME_order.csv`` where orders were asked for.
+    """Write ``NAME.csv``, one row per run, and ``NAME.json``; also ``NAME_order.csv`` for orders of convergence.
 
-    A run that failed has no numbers in the columns of results.
+    A failed run has no numbers in the columns of results.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
         folder / f"{name}.csv",
         _columns(outcomes, costs),
     )
-    # The same costs, but as numbers.
+    # Costs as numbers.
     runs = [
         {
             "parameters": dict(one.parameters), "status": one.status, "exit_status": one.exit_status, "said": one.said,
@@ -65,7 +65,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
 
 
 def write_columns(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Write a CSV with columns by name, None as nothing; raises OutputError."""
+    """Write a CSV with columns by name, None as an empty word, or raise OutputError."""
     text = io.StringIO(newline="")
     csv.writer(text).writerows([list(columns), *zip(*columns.values(), strict=True)])
     write_whole(path, text.getvalue())
@@ -115,6 +115,6 @@ def _columns(outcomes: Sequence[Outcome], costs: Mapping[str, list[Any]]) -> dic
 
 
 def of_orders(found: Sequence[Convergence]) -> Table:
-    """Return the table of orders; their notes are sentences and stand below it."""
+    """Return the table of orders, with their notes below it."""
     short = {"extrapolated": "limit", "error_bar": "+/-"}
     return on_terminal({short.get(name, name): column for name, column in _order_columns(found).items()})

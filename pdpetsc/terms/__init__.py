@@ -1,1 +1,1 @@
-"""What adds forces: materials at gradient points, bonds, control, dead loads, springs that hold loose particles."""
+"""Terms: materials at gradient points, bonds, control, dead loads, heat conduction."""

@@ -1,4 +1,4 @@
-"""Materials whose forces act along bonds."""
+"""Term of materials whose forces act along bonds."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from pdpetsc.terms.softening import softening_dilatation, softening_nonlocal
 
 
 class BondForces(MaterialTerm):
-    """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j mu_ij a_ij e_ij``.
+    """Compute forces of ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, theta_i = sum_j mu_ij a_ij e_ij.
 
-    A pair of particles counts from both ends. The degradation factor ``mu`` is 1 without damage; at a given one forces
-    are the derivative of this energy.
+    A pair of particles contributes from both ends. The degradation factor ``mu`` is 1 without damage. At a fixed
+    degradation factor, the forces are the derivative of this energy.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     bonds : Neighbourhood
-        What materials ask of the bonds.
+        Properties of the bonds for the materials.
     materials : sequence of BondMaterial
         Materials of the body, of one kinematics.
     material_of : (n_owned,) int
         Index into ``materials`` of each own particle.
     factor : (n_owned,) float64, optional
-        What multiplies the moduli of each own particle [-].
+        Factor on the moduli of each own particle [-].
 
     Raises
     ------
     CaseError
-        The materials do not fit together or the dimension, or depend on temperature, on every rank.
+        The materials do not fit together or the dimension, or depend on temperature; raised on every rank.
 
     Notes
     -----
@@ -73,21 +73,22 @@ class BondForces(MaterialTerm):
         self.horizons = 1 if self.a is None else 2
 
     def _take(self, materials: Sequence[BondMaterial], material_of: LocalIndex, factor: Float) -> None:
-        """Remember the materials of the own particles."""
+        """Store the materials of the own particles."""
         self.materials, self._material_of, self._factor = materials, material_of, factor
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
-        # The gradient points that drive damage, where it reads any.
+        # Gradient points for the driving variable, if it needs them.
         self._driving: DamagedPoints | None = None
-        # Bonds that have their whole stiffness as they shorten, however damaged (n_bonds,); None if no law closes.
+        # Bonds that keep their elastic stiffness in compression, at any damage (n_bonds,); None if no law closes
+        # cracks.
         self._closing: Mask | None = None
-        # Whether damage makes bonds depend on more than their own elongation.
+        # Whether bonds depend on more than their own elongation because of damage.
         self._is_nonlocal = False
         self._elastic = [material.elastic(self.body.dim) for material in materials]
 
     @cached_property
     def constants(self) -> BondStiffness:
-        """Return the stiffness of bonds and particles (collective the first time)."""
+        """Return the stiffness of bonds and particles (collective on first use)."""
         return combine(self._bonds, self.materials, self._material_of, self._factor)
 
     @property
@@ -97,7 +98,7 @@ class BondForces(MaterialTerm):
 
     @property
     def factor(self) -> Float:
-        """Return what multiplies the moduli of each own particle (n_owned,) [-]."""
+        """Return the factor on the moduli of each own particle (n_owned,) [-]."""
         return self._factor
 
     @property
@@ -107,12 +108,12 @@ class BondForces(MaterialTerm):
 
     @property
     def a(self) -> Float | None:
-        """Return what elongations add to the dilatation (n_bonds,) [1 / length]; None where there is none."""
+        """Return the weights of elongations in the dilatation (n_bonds,) [1 / length]; None without dilatation."""
         return self.constants.a
 
     @property
     def B(self) -> Float | None:
-        """Return the stiffness of the dilatation of each own particle (n_owned,) [energy]; None without it."""
+        """Return the stiffness of the dilatation of each own particle (n_owned,) [energy]; None without dilatation."""
         return self.constants.B
 
     @property
@@ -121,12 +122,13 @@ class BondForces(MaterialTerm):
         return self._bonds.omega
 
     def take_damage(self, damage: Damage) -> None:
-        """Let the bonds fail (collective).
+        """Bind the damage of the bonds (collective).
 
         Raises
         ------
         CaseError
-            What drives damage does not fit bonds, or needs gradients that a family is too small for; on every rank.
+            The driving variable does not fit bonds, or needs gradients for which a family is too small; raised on every
+            rank.
         """
         if damage.driving_variable.reads_flow:
             raise CaseError(
@@ -137,7 +139,7 @@ class BondForces(MaterialTerm):
             raise CaseError("Cracks that close take bond-based materials: a dilatation is of a whole family.")
         self.damage = damage
         if damage.driving_variable.reads_points:
-            # The gradient of the bonds that are left, with the elastic material that the bonds stand for.
+            # Gradient over the unbroken bonds, with the elastic material that the bonds represent.
             kind = SaintVenantKirchhoff if self.finite else LinearElastic
             solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
             scheme, of, factor = Correspondence(), self._material_of, self._factor
@@ -152,13 +154,13 @@ class BondForces(MaterialTerm):
 
     @property
     def parts(self) -> list[str]:
-        """Return what it is made of."""
+        """Return the names of its parts."""
         made = [f"bonds {type(material).__name__}" for material in self.materials]
         return made + ([] if self.a is None else ["dilatation"])
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return True if bonds keep their directions, and their stiffness as they shorten."""
+        """Return True if bonds keep their directions, and their stiffness in compression."""
         return not self.finite and self._closing is None
 
     @property
@@ -168,17 +170,17 @@ class BondForces(MaterialTerm):
 
     @property
     def driving_points(self) -> DamagedPoints | None:
-        """Return the gradient points that drive damage, None if it reads none."""
+        """Return the gradient points of the driving variable; None if there are none."""
         return self._driving
 
     def bonds_changed(self, rebuild: bool) -> None:
-        """Let the gradient points that drive damage follow."""
+        """Update the gradient points of the driving variable."""
         if self._driving is not None:
             self._driving.bonds_changed(rebuild)
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return whether what bonds that fade lose depends on their own elongation alone."""
+        """Return True if degradation factors depend on the elongation of their bond and scale its force only."""
         fades = self.damage is not None and self.damage.softens
         return not self._is_nonlocal and not (fades and self.a is not None)
 
@@ -189,14 +191,14 @@ class BondForces(MaterialTerm):
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
-        """Return the bonds, or the families where there is a dilatation or what drives damage reaches further."""
+        """Return the bonds; the families if there is a dilatation or a nonlocal driving variable."""
         if self.a is not None or self._is_nonlocal:
             return self.body.with_centres.point_ptr, self.body.with_centres.members
         return self.bonds.point_ptr, self.bonds.members
 
     @property
     def whole_families(self) -> bool:
-        """Return whether there is a dilatation."""
+        """Return True if there is a dilatation."""
         return self.a is not None
 
     @cached_property
@@ -207,11 +209,11 @@ class BondForces(MaterialTerm):
         return StencilMembers(centres, 2 * np.arange(len(neighbours) + 1, dtype=np.int64), ends)
 
     def elongation(self, state: State) -> Float:
-        """Return the elongation of every bond (n_bonds,) [length]."""
+        """Compute the elongation of every bond (n_bonds,) [length]."""
         return state.elongated(self.finite)[0]
 
     def secant(self, state: State) -> Float:
-        """Return ``T k`` of every bond (n_bonds,) [force / length]; k of one that is short where cracks close."""
+        """Compute ``phi k`` of every bond (n_bonds,) [force / length]; k for a shortened bond if cracks close."""
         if self.damage is None:
             return self.k
         T = self.damage.phi(state)
@@ -220,7 +222,7 @@ class BondForces(MaterialTerm):
         return np.asarray(self.k * T)
 
     def tangent(self, state: State) -> Float:
-        """Return ``dt/de`` of every bond at the dilatation of its particle (n_bonds,) [force / length]."""
+        """Compute ``dt/de`` of every bond at the dilatation of its particle (n_bonds,) [force / length]."""
         if self.damage is None:
             return self.k
         gradient = self.damage.gradient(state)
@@ -229,9 +231,9 @@ class BondForces(MaterialTerm):
         return rate
 
     def _softening(self, state: State) -> list[Product]:
-        """Return what the tangent has besides where the degradation factor of a bond is in more than its own force.
+        """Return the parts of the tangent from degradation factors beyond the own force of a bond.
 
-        That is, where it depends on more than the elongation of the bond, or where there is a dilatation.
+        They exist if a degradation factor depends on more than the elongation of the bond, or if there is a dilatation.
         """
         if self.damage is None or not (self._is_nonlocal or (self.a is not None and self.damage.bonds.softens)):
             return []
@@ -249,13 +251,13 @@ class BondForces(MaterialTerm):
         return found
 
     def shares(self, state: State) -> Float | None:
-        """Return what elongations add to the dilatation with the ``phi`` of their bonds (n_bonds,) [1 / length]."""
+        """Return the weights of elongations in the dilatation, times ``phi`` of the bonds (n_bonds,) [1 / length]."""
         if self.a is None or self.damage is None:
             return self.a
         return np.asarray(self.damage.phi(state) * self.a)
 
     def _whole_tension(self, state: State) -> Float:
-        """Return what the tension of every bond is proportional to as its own ``phi`` falls (n_bonds,) [force]."""
+        """Return the derivative of the tension by ``phi`` of the bond, at constant dilatation (n_bonds,) [force]."""
         e = self.elongation(state)
         t = self.k * (e if self._closing is None else np.where(self._closing, np.maximum(e, 0.0), e))
         if self.a is None or self.B is None:
@@ -263,21 +265,21 @@ class BondForces(MaterialTerm):
         return np.asarray(t + self.a * (self.B * self.dilatation(state))[self.body.families.centres])
 
     def tension(self, state: State) -> Float:
-        """Return the tension of every bond of every own particle (n_bonds,) [force]."""
+        """Compute the tension of every bond of every own particle (n_bonds,) [force]."""
         t, a = self.secant(state) * self.elongation(state), self.shares(state)
         if a is None or self.B is None:
             return t
         return np.asarray(t + a * (self.B * self.dilatation(state))[self.body.families.centres])
 
     def dilatation(self, state: State) -> Float:
-        """Return ``theta`` of the own particles (n_owned,) [-]; zeros for a material without it."""
+        """Compute ``theta`` of the own particles (n_owned,) [-]; zeros for a material without dilatation."""
         n, a = self.body.cloud.n_owned, self.shares(state)
         if a is None:
             return np.zeros(n)
         return np.asarray(np.bincount(self.body.families.centres, a * self.elongation(state), n), dtype=float)
 
     def admissible(self, state: State) -> bool:
-        """Return whether every bond on this rank has a length above zero."""
+        """Return True if every bond on this rank has a length above zero."""
         least = state.elongated(self.finite)[1]
         return not self.finite or least > 0.0
 
@@ -293,19 +295,19 @@ class BondForces(MaterialTerm):
         return [self.product(state), *self._softening(state)]
 
     def product(self, state: State) -> BondProduct:
-        """Return the tangent of the bonds at a state, without what the ``phi`` has besides in other forces."""
+        """Return the tangent of the bonds at a state, without the effect of ``phi`` on other forces."""
         a, none = self.shares(state), np.empty(0)
         dilatation = (none, none) if a is None or self.B is None else (a, self.B)
         of_bonds = self.tangent(state), self.secant(state), self.tension(state)
         return BondProduct(self.body, self.finite, state.u_local, self.bonds, *of_bonds, *dilatation)
 
     def energy(self, state: State) -> float:
-        """Return the energy of the bonds."""
+        """Compute the energy of the bonds."""
         return float(self.body.cloud.volume[: self.body.cloud.n_owned] @ self.energy_density(state))
 
     @property
     def has_history(self) -> bool:
-        """Return whether bonds can fail."""
+        """Return True if bonds can fail."""
         return self.damage is not None
 
     @property
@@ -320,9 +322,9 @@ class BondForces(MaterialTerm):
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
 
     def dissipation_density(self) -> Float | None:
-        """Return what failing bonds have dissipated, half of it at each end (n_owned,) [energy / volume].
+        """Compute the dissipation of failing bonds, half of it at each end (n_owned,) [energy / volume].
 
-        None where their drive does not tell (not collective).
+        None if the driving variable does not determine it (not collective).
         """
         cloud = self.body.cloud
         if self.damage is None:
@@ -333,14 +335,14 @@ class BondForces(MaterialTerm):
         return np.asarray(np.bincount(self.body.families.centres, spent, cloud.n_owned) / cloud.volume[: cloud.n_owned])
 
     def local_damage(self) -> Float:
-        """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
+        """Compute the lost share of the stiffness of the bonds of each own particle (n_owned,) [-] (not collective)."""
         centres, n = self.body.families.centres, self.body.cloud.n_owned
         whole = np.bincount(centres, self.k, n)
         left = whole if self.damage is None else np.bincount(centres, self.k * self.damage.bonds.phi, n)
         return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
 
     def deformation_gradient(self, state: State) -> Float:
-        """Return the gradient that fits the family best (n_owned, dim, dim) [-], 1 in directions that it lacks."""
+        """Compute the least-squares gradient of the family (n_owned, dim, dim) [-], 1 in directions not spanned."""
         cloud, families = self.body.cloud, self.body.families
         xi, eta = families.bonds(cloud.x), families.bonds(state.u_local)
         weight = self._bonds.omega * cloud.volume[families.neighbours]
@@ -349,7 +351,7 @@ class BondForces(MaterialTerm):
         return np.asarray(np.eye(self.body.dim) + N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
 
     def first_piola_stress(self, state: State) -> Float:
-        """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]: dW/dF in uniform deformation."""
+        """Compute ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]: dW/dF in uniform deformation."""
         cloud, families = self.body.cloud, self.body.families
         xi = families.bonds(cloud.x)
         y = xi + self.finite * families.bonds(state.u_local)
@@ -358,7 +360,7 @@ class BondForces(MaterialTerm):
         return np.asarray(moment / cloud.volume[: cloud.n_owned, None, None])
 
     def cauchy_stress(self, state: State) -> Float:
-        """Return ``P F^T / J`` (n_owned, dim, dim) [stress], hidden stretches to first order; P where linear."""
+        """Compute ``P F^T / J`` (n_owned, dim, dim) [stress], hidden stretches to first order; P if linear."""
         P = self.first_piola_stress(state)
         if self.linear:
             return P
@@ -367,7 +369,7 @@ class BondForces(MaterialTerm):
         return np.asarray(np.einsum("pik,pjk->pij", P, F) / J[:, None, None])
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
-        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,), of small strain across it.
+        """Return stretch, P and Cauchy stress normal to a plane or line body (n_owned,), for small normal strain.
 
         In plane strain the stress is Poisson's ratio times the trace of that in the plane.
         """
@@ -383,12 +385,15 @@ class BondForces(MaterialTerm):
             )
             held = (young[self._material_of] * self._factor) * expansion.strain[:, 2, 2]
             traces = [trace - held for trace in traces]
-        if dim == 1:  # the product of two equal ones
+        if dim == 1:  # the product of two equal stretches
             across = 1.0 + 0.5 * (across - 1.0) if not self.finite else np.sqrt(across)
         return across, traces[0], traces[1]
 
     def _hidden_stretch(self, F: Float, state: State) -> Float:
-        """Return the product of the stretches that F (n_owned, dim, dim) does not show, to first order (collective)."""
+        """Compute the product of the stretches normal to the body (n_owned,) from F (n_owned, dim, dim).
+
+        It is of first order (collective).
+        """
         dim, expansion = self.body.dim, state.expansion
         elastic = F if expansion is None else F - expansion.in_body()
         stretch = np.array([one.thickness_stretch(elastic) for one in self._elastic])
@@ -400,7 +405,7 @@ class BondForces(MaterialTerm):
         return np.asarray(across)
 
     def energy_density(self, state: State) -> Float:
-        """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
+        """Compute the strain energy density of the own particles (n_owned,) [energy / volume]."""
         e, n = self.elongation(state), self.body.cloud.n_owned
         psi = np.bincount(self.body.families.centres, 0.5 * self.secant(state) * e**2, n)
         if self.B is not None:
@@ -408,7 +413,7 @@ class BondForces(MaterialTerm):
         return np.asarray(psi / self.body.cloud.volume[:n])
 
     def uniform_stress_force(self, P: Float) -> Float:
-        """Refuse: a bond does not know the stress of its particle."""
+        """Raise CaseError: a bond has no access to the stress of its particle."""
         raise CaseError('Bonds have no consistent traction; use distribution="layer", or a correspondence material.')
 
     def dependents(self, marked: Float) -> Mask:
@@ -418,24 +423,24 @@ class BondForces(MaterialTerm):
 
 
 class BondProduct(Product):
-    """Stiffness along bonds, tension that turns with them, and dilatation, which reaches two horizons.
+    """Apply the stiffness along bonds, the rotation of their tension, and the dilatation, over two horizons.
 
     Parameters
     ----------
     body : Body
-        Whose bonds they are.
+        The body.
     finite : bool
-        Whether bonds turn.
+        Whether bonds rotate.
     u : (n_local, dim) float64
-        Displacements at which directions are taken [length].
+        Displacements at which directions are evaluated [length].
     bonds : StencilMembers
         Both ends of every bond.
     tangent, secant : (n_bonds,) float64
-        ``dt/de`` [force / length]; the secant, which is not negative, is for what preconditions.
+        ``dt/de`` [force / length], and the secant, which is not negative, for preconditioners.
     tension : (n_bonds,) float64
-        [force]
+        Tension [force].
     a, B : (n_bonds,), (n_owned,) float64
-        What elongations add to the dilatation [1 / length], and its stiffness [energy]; empty if there is none.
+        Weights of elongations in the dilatation [1 / length], and its stiffness [energy]; empty without dilatation.
     """
 
     def __init__(
@@ -452,9 +457,9 @@ class BondProduct(Product):
         kernel(particles, *self._data, self._tangent, self._tension, *self._dilatation, du, f)
 
     def stiffness(self) -> Float:
-        """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
+        """Compute the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
 
-        Bonds that soften count with their secant.
+        Softening bonds contribute their secant.
         """
         D = np.empty((self._body.cloud.n_owned, *(self._body.dim,) * 4))
         kernel = bond_moduli_kernel(self._body.dim, self._finite)
@@ -462,7 +467,7 @@ class BondProduct(Product):
         return D
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of all bonds with their secant, and of the dilatation."""
+        """Add the blocks of all bonds with their secant, and of the dilatation."""
         kernel = bond_blocks_kernel(self._body.dim, self._finite)
         kernel(*self._data, self._secant, self._tension, *self._dilatation, blocks)
         return True

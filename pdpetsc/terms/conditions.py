@@ -1,4 +1,4 @@
-"""Supports and loads from the conditions that a case declares."""
+"""Supports and loads of a body from the conditions of a case."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ from pdpetsc.terms.surface_loads import SurfaceLoads
 
 
 class Applied:
-    """Supports and loads of a body, collected from its conditions, each of which calls the method of its kind.
+    """Collect supports and loads of a body from its conditions, each of which calls the method of its kind.
 
     Parameters
     ----------
     body, matter, particles
         As for ``DeadLoads``.
     times : sequence of float
-        Step times that the run meets exactly [-].
+        Load parameters that the run reaches exactly [-].
 
     Attributes
     ----------
@@ -155,34 +155,34 @@ class Applied:
         self.supports.prescribe_strain(condition, self._components(condition, name))
 
     def mean_stress(self, condition: MeanStress, name: str) -> None:
-        """Let a mean stress act on the cell."""
+        """Apply a mean stress to the cell."""
         self.loads.add_stress(condition, self._components(condition, name))
 
     def temperature(self, condition: Temperature, name: str) -> None:
-        """Note a prescribed temperature."""
+        """Store a prescribed temperature."""
         self.temperatures.append((name, condition, select(self.body.cloud, condition.region, name)))
 
     def eigenstrain(self, condition: Eigenstrain, name: str) -> None:
-        """Note a strain without stress."""
+        """Store an eigenstrain."""
         with agreed(self.body.cloud.comm):
             condition.refuse_beyond(self.body.dim, name)
         self.eigenstrains.append((name, condition, select(self.body.cloud, condition.region, name)))
 
     def heat_source(self, condition: HeatSource, name: str) -> None:
-        """Note heat in particles."""
+        """Store a heat source in particles."""
         self.heat.append((name, condition, select(self.body.cloud, condition.region, name)))
 
     def heat_flux(self, condition: HeatFlux | Convection, name: str) -> None:
-        """Note heat through facets."""
+        """Store a heat flux through facets."""
         assert self.body.surface is not None
         self.heat.append((name, condition, self.body.surface.select(self.body.cloud, condition.region, name)))
 
     def convection(self, condition: Convection, name: str) -> None:
-        """Note heat exchange of facets."""
+        """Store the convection of facets."""
         self.heat_flux(condition, name)
 
     def _where(self, condition: VectorCondition, name: str) -> tuple[Mask, list[tuple[int, Value]]]:
-        """Return the own particles of a condition's region and its components, checked on all ranks (collective)."""
+        """Return own particles in the region of a condition, and its components, checked on all ranks (collective)."""
         mask = select(self.body.cloud, condition.region, name)
         with agreed(self.body.cloud.comm):
             return mask, condition.components(self.body.dim)
@@ -205,22 +205,22 @@ def apply(
     body: Body, material_term: MaterialTerm, conditions: Sequence[Condition], particles: Particles,
     times: Sequence[float] = (1.0,),
 ) -> Applied:  # fmt: skip
-    """Return supports, loads and what else conditions prescribe (collective).
+    """Build supports, loads and other prescribed quantities from conditions (collective).
 
     Parameters
     ----------
     body, matter, particles
         As for ``Applied``.
     conditions : sequence of Condition
-        What the case declares.
+        Conditions of the case.
     times : sequence of float
-        Step times at which conditions that hold the same particle must agree [-].
+        Load parameters at which conditions that hold the same particle must agree [-].
 
     Raises
     ------
     CaseError
-        A region selects nothing, two conditions prescribe different values of the same particle, a component is wrong,
-        or a traction acts on a face whose area is not known.
+        A region selects nothing, two conditions prescribe different values of the same particle, or a component is
+        wrong. Or a traction acts on a face of unknown area.
     """
     onto = Applied(body, material_term, particles, times)
     for number, condition in enumerate(conditions, 1):

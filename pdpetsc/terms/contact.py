@@ -19,15 +19,14 @@ from pdpetsc.problem.term import KeptArray, Term
 
 # Pressure over penetration of the default stiffness, in moduli over the spacing [-].
 STIFFNESS = 100.0
-# Stiffness of facets that stick over that of those that are pressed [-]; at 1 Newton cycles between both ways to
-# slide.
+# Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
 STICKING = 0.1
-# Penetration over the spacing with which a run fails, and with which a tool overlaps the body at the start [-].
+# Penetration over the spacing at which a run fails, and from which a tool overlaps the body at the start [-].
 DEEP, OVERLAP = 0.05, 1e-6
 
 
 class _Touching(NamedTuple):
-    """Tractions (m, dim) [stress] on the facets that touch, and minus their derivatives (m, dim, dim)."""
+    """Store tractions (m, dim) [stress] on the facets in contact, and minus their derivatives (m, dim, dim)."""
 
     rows: GlobalIndex
     traction: Float
@@ -35,7 +34,7 @@ class _Touching(NamedTuple):
 
 
 class ContactProduct(RankOneProduct):
-    """``sum_f N_f (x) N_f B_f``: what couples the particles of each facet, whose weights ``N_f`` sum to one.
+    """Couple the particles of each facet, whose weights ``N_f`` sum to one, by ``sum_f N_f (x) N_f B_f``.
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ class ContactProduct(RankOneProduct):
         self._of = np.repeat(np.arange(len(sizes)), sizes)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the facets of the particles; other than a gradient they see a translation."""
+        """Add the forces of the facets of the particles; unlike a gradient, facets resist translations."""
         here = np.isin(self._facets.owner, particles)
         members, N = self._facets.members, self._N
         moved = np.stack([np.bincount(self._of, N * du[members, axis], len(here)) for axis in range(du.shape[1])], 1)
@@ -74,7 +73,7 @@ class ContactProduct(RankOneProduct):
 
 
 class ContactForces(Term):
-    """Forces ``f_k = sum_f N_f(x_k) |a_f| (p n + tau)`` of a rigid tool on the facets of a surface.
+    """Compute forces ``f_k = sum_f N_f(x_k) |a_f| (p n + tau)`` of a rigid tool on the facets of a surface.
 
     With the gap g of a facet at ``x_f + sum_k N_f(x_k) u_k``, ``p = c <-g>``. Friction has the trial traction
     ``tau* = (1 - n (x) n) (tau_0 - c_t (u - u_0))`` relative to the tool since the last converged step; it sticks,
@@ -85,9 +84,9 @@ class ContactForces(Term):
     body : Body
         Particles with their surface.
     declared : Contact
-        What is declared.
+        Declared contact.
     mask : (n_facets,) bool
-        Facets that may touch.
+        Facets that may come into contact.
     stiffness : float
         ``c`` [stress / length].
     spacing : float
@@ -150,7 +149,7 @@ class ContactForces(Term):
         return largest(self.body.cloud.comm, float(np.max(-g, initial=0.0)))
 
     def _touching(self, state: State) -> _Touching:
-        """Compute the tractions on the facets that touch (collective)."""
+        """Compute the tractions on the facets in contact (collective)."""
         gap, moved = self._gap(state), self._moved(state)
         return state.kept((self, "touching"), lambda: self._tractions(moved, *gap))
 
@@ -187,7 +186,7 @@ class ContactForces(Term):
         np.add.at(f, self._facets.members, -self._N[:, None] * force[self._of])
 
     def linearise(self, state: State) -> Sequence[Product]:
-        """Return the blocks of the facets that touch."""
+        """Return the blocks of the facets in contact."""
         touching = self._touching(state)
         rows = touching.rows
         sizes = np.diff(self._facets.point_ptr)[rows]
@@ -205,7 +204,7 @@ class ContactForces(Term):
         return float(self._area[touching.rows] @ (p**2 + tau / STICKING) / (2.0 * self._c))
 
     def commit(self, state: State) -> None:
-        """Keep the tangential tractions; raise SolveError if the tool is too deep in the body."""
+        """Store the tangential tractions; raise SolveError if the tool penetrates the body too far."""
         deepest = self._deepest(state)
         if deepest > DEEP * self._spacing:
             raise SolveError(
@@ -223,7 +222,7 @@ class ContactForces(Term):
 
     @property
     def has_history(self) -> bool:
-        """Return whether friction remembers where particles stick."""
+        """Return True if there is friction, which depends on the last converged step."""
         return self._mu > 0.0
 
     def arrays(self) -> Mapping[str, KeptArray]:
@@ -237,7 +236,7 @@ class ContactForces(Term):
         }
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
-        """Return the components of the force of the tool on the body, and the area that touches."""
+        """Return the components of the force of the tool on the body, and the area in contact."""
         prefix = self._declared.name
 
         def component(axis: int) -> Callable[[State], float]:
@@ -251,7 +250,7 @@ class ContactForces(Term):
         return found | {f"{prefix}_area": lambda state: float(self._area[self._touching(state).rows].sum())}
 
     def of_facets(self, state: State) -> tuple[Float, Float, Float]:
-        """Return positions, tractions and areas of the facets of this rank that touch (collective).
+        """Return positions, tractions and areas of the facets of this rank in contact (collective).
 
         (m, dim) [length], (m, dim) [stress] and (m,) [area].
         """

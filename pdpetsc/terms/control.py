@@ -1,4 +1,4 @@
-"""The zero-energy control as a term."""
+"""Zero-energy control as a term."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from pdpetsc.terms.softening import softening_products
 
 
 class ControlForces(Term):
-    """Forces linear in the displacement that resist what the gradients do not see.
+    """Compute forces linear in the displacement that resist zero-energy modes.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     name : str
-        What it is called in the record.
+        Name in the run record.
     control : Control
-        The control of the body as it is at the start.
+        Control of the initial body.
     damage : Damage, optional
-        The bonds that fail; the control has their degradation factor as the effect of the damage law says.
+        Damage of bonds; the damage evolution of its law defines the degradation factor of the control.
 
     Notes
     -----
@@ -52,7 +52,7 @@ class ControlForces(Term):
 
     @property
     def parts(self) -> list[str]:
-        """Return its name."""
+        """Return the name of the control."""
         return [f"control {self.name}"]
 
     @property
@@ -62,12 +62,12 @@ class ControlForces(Term):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether its forces are linear: damage does not change them together with the displacement."""
+        """Return True if the forces are linear: no degradation factor changes them with the displacement."""
         return self.damage is None or not self.damage.bonds.softens or not self._fades
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return True if no degradation factor scales its forces alone."""
+        """Return True if no degradation factor scales the forces only."""
         return self.damage is None or not self._fades
 
     @property
@@ -91,7 +91,7 @@ class ControlForces(Term):
         fading = self._effect.fading(self.damage.phi(state))
         if fading is None:
             return self.control
-        # Kept with the state, so that its matrix is made once.
+        # Cached with the state, so that its matrix is built once.
         return state.kept(("control", self.damage.version, id(self.control)), lambda: self.control.faded(fading))
 
     def add_force(self, state: State, f: Float) -> None:
@@ -99,7 +99,7 @@ class ControlForces(Term):
         self.at(state).force(state.u_local, f, self.body.families.everyone)
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
-        """Return the data of its forces if no degradation factor scales them."""
+        """Return the data of the forces if no degradation factor scales them."""
         control = self.at(state)
         return control.shared_gradient(operator) if control is self.control else None
 
@@ -109,24 +109,24 @@ class ControlForces(Term):
         return self.at(state).force(u_local, np.zeros_like(u_local), self.body.families.everyone)
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the control, and what the derivative of the degradation factor adds if it fades."""
+        """Return the control, and the derivative of the degradation factor if there is one."""
         return [self.at(state), *self._softening(state, self.control)]
 
     def _softening(self, state: State, unfaded: Control) -> list[Product]:
-        """Return the products of bonds that lose force, for the control without the present degradation factor."""
+        """Return the products of softening bonds, for the control without the current degradation factor."""
         if self.damage is None or not self._fades or not self.damage.bonds.softens:
             return []
         v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite
         return softening_products(state, self.damage.gradient(state), v, opposite.of_vectors)
 
     def bonds_changed(self, rebuild: bool) -> None:
-        """Rebuild the control with the present degradation factor of the bonds."""
+        """Rebuild the control with the current degradation factor of the bonds."""
         if self.damage is not None:
             self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
 
 
 def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:
-    """Return the small-strain stiffness of the own particles, which scales a control (not collective)."""
+    """Compute the small-strain stiffness of the own particles, which scales a control (not collective)."""
     dim = body.dim
     factor = np.ones(body.cloud.n_owned) if factor is None else factor
     kappa = np.array([material.bulk_like_modulus(dim) for material in materials])[material_of] * factor

@@ -1,4 +1,4 @@
-"""Correspondence with bonds that fail: forces of bonds scaled by their ``phi``, broken ones out of the gradient."""
+"""Correspondence with failing bonds: ``phi`` scales the forces of bonds, and broken bonds leave the gradient."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ from pdpetsc.terms.softening import softening_products
 
 
 class DamagedPoints(MaterialPoints):
-    """Correspondence whose force states are multiplied with the ``phi`` of the bonds, ``T = T_s omega P K^-1 xi``.
+    """Compute correspondence forces with force states scaled by ``phi`` of the bonds, ``T = phi omega P K^-1 xi``.
 
-    ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
-    with what drives each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken bond
-    leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
-    more; its neighbours' gradients and the control hold it. What else damage does, to volumes and to bonds that lie
-    across the pull, the effect of the damage law says.
+    The forces are ``f = H^T (W P(F))`` with the weights ``h_pk = phi_ij g_pk``. Gradients are those of the intact
+    family; forces decrease with the driving variable of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is
+    exact and not symmetric.
+
+    A broken bond leaves shape tensor and gradient. A particle whose remaining family is too flat for a gradient has no
+    stress any more. The gradients of its neighbours and the control hold it. The damage evolution of the law defines
+    the effect on volumes and on bonds normal to the tension.
 
     Parameters
     ----------
@@ -41,16 +43,16 @@ class DamagedPoints(MaterialPoints):
     omega : (n_bonds,) float64
         Influence of every bond [-].
     scheme : Scheme
-        Where gradients are evaluated.
+        Scheme of the gradients.
     damage : Damage
-        The bonds that fail.
+        Damage of the bonds.
     weigh : callable, optional
-        Gives the gradient of the scheme other weights (collective).
+        Changes the weights of the gradient of the scheme (collective).
 
     Raises
     ------
     CaseError
-        A family is too small or flat, on every rank; or damage follows the flow of materials that do not.
+        A family is too small or flat, on every rank; or damage depends on plastic strain, and no material yields.
 
     References
     ----------
@@ -88,19 +90,19 @@ class DamagedPoints(MaterialPoints):
         return self
 
     def _undeformed(self) -> KeptHistory | None:
-        """Return the histories of the materials at the start, None where they have none (not collective)."""
+        """Return the initial histories of the materials; None without history (not collective)."""
         if not any(at_points.has_history for at_points in self.materials):
             return None
         return KeptHistory(self.operator, self.materials, self._material_of, self.body.cloud.x)
 
     @property
     def gradients(self) -> GradientOperator:
-        """Return the gradients of the bonds that are left."""
+        """Return the gradient operator of the unbroken bonds."""
         return self.operator
 
     @property
     def lost(self) -> Mask:
-        """Return which points are of particles that have no gradient any more (n_points,)."""
+        """Return the points of particles without gradient (n_points,)."""
         return self._dead
 
     @property
@@ -110,12 +112,12 @@ class DamagedPoints(MaterialPoints):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether materials are linear and damage stays."""
+        """Return True if materials are linear and damage is constant."""
         return self._linear and not self.damage.bonds.softens
 
     @property
     def whole_families(self) -> bool:
-        """Return True: the sparsity is that of whole families, which no broken bond changes."""
+        """Return True: the sparsity is that of whole families, which broken bonds do not change."""
         return True
 
     @property
@@ -124,35 +126,35 @@ class DamagedPoints(MaterialPoints):
         return True
 
     def temperature(self, state: State) -> Float | None:
-        """Return the temperature of the points (n_points,), None where the body has none (collective)."""
+        """Return the temperature of the points (n_points,); None without temperature (collective)."""
         return None if state.temperature is None else state.temperature[self.operator.owner]
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_p`` (n_points, dim, dim) [-]; I where a particle has no gradient any more."""
+        """Return ``F_p`` (n_points, dim, dim) [-]; I for a particle without gradient."""
         F = super().deformation(state)
         F[self._dead] = np.eye(self.body.dim)
         return F
 
     def commit(self, state: State) -> None:
-        """Let materials with history remember a converged state, wherever their points are when bonds break."""
+        """Update the histories of materials at a converged state, also for points that change when bonds break."""
         super().commit(state)
         if self._history is not None:
             self._history.take(self.operator, self.materials)
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return the histories of the materials that have one, by its number, and what the drive remembers."""
+        """Return the histories of the materials with history, by number, and the arrays of the driving variable."""
         found = {} if self._history is None else self._history.arrays(self.materials)
         own = np.arange(self.body.cloud.n_owned, dtype=np.int32)
         return found | {name: KeptArray(own, values) for name, values in self.damage.driving_variable.arrays().items()}
 
     def restored(self) -> None:
-        """Put the histories that have been read at the points of the bonds that are left."""
+        """Write the histories that were read to the points of the unbroken bonds."""
         super().restored()
         if self._history is not None:
             self._history.give(self.operator, self.materials)
 
     def scaled_weights(self, of_bond: Float) -> Float:
-        """Return ``h_pk = T_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
+        """Compute ``h_pk = phi_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
         h: Float = self.operator.g * np.append(of_bond, 0.0)[self.bond_of_entry][:, None]
         first = self.operator.point_ptr[:-1]
         h[first] = -np.add.reduceat(h, first, axis=0)
@@ -166,26 +168,26 @@ class DamagedPoints(MaterialPoints):
         add_divergence(operator, h, P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Return False: the degradation factor of the bonds is in its forces alone."""
+        """Return False: the degradation factor of the bonds scales only the forces of this term."""
         return False
 
     def linearise(self, state: State) -> list[Product]:
-        """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the ``phi`` if it is not frozen."""
+        """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of ``phi`` unless frozen."""
         T, softens = self.damage.phi(state), self.damage.bonds.softens
         A = Moduli(self.laws(state).moduli(self.deformation(state)))
-        # Where bonds are broken or whole, forces have the weights of the gradient, and a control may share the loop.
+        # If all bonds are broken or intact, forces have the weights of the gradient, and a control may share the loop.
         whole = not softens and bool(np.all((T == 0.0) | (T == 1.0)))
         h = None if whole else self.scaled_weights(T)
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *(self._softening(state) if softens else [])]
 
     def _share(self, T: Float) -> Float:
-        """Return the mean degradation factor of the bonds that are left to each own particle (n_owned,) [-]."""
+        """Compute the mean degradation factor of the unbroken bonds of each own particle (n_owned,) [-]."""
         centres, n = self.body.families.centres, self.body.cloud.n_owned
         left = np.maximum(np.bincount(centres, self.damage.bonds.intact, n), 1)
         return np.asarray(np.bincount(centres, T, n) / left)
 
     def _softening(self, state: State) -> list[Product]:
-        """Return what the bonds whose degradation factor falls add to the tangent.
+        """Return the derivative of the degradation factors of softening bonds in the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
@@ -194,9 +196,9 @@ class DamagedPoints(MaterialPoints):
         return softening_products(state, gradient, v, self.damage.damageable.opposite.of_vectors)
 
     def _forces(self, P: Float, gradient: Gradient) -> Float:
-        """Return the force of the intact bond on its second end (n_bonds, dim) [force], of stresses at points.
+        """Compute the force of the intact bond on its second end (n_bonds, dim) [force] from stresses at points.
 
-        Zero for bonds that the gradient of the degradation factor is not of.
+        Zero for bonds outside the gradient of the degradation factor.
         """
         operator, n = self.operator, len(self.body.families.neighbours)
         softening = np.zeros(n + 1, dtype=bool)
@@ -207,12 +209,14 @@ class DamagedPoints(MaterialPoints):
         return np.asarray(sum_by(self.bond_of_entry[entries], force, n))
 
     def family_strain(self, state: State) -> Float:
-        """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.
+        """Compute ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest over the points of the centre of each bond.
 
-        ``<.>+`` keeps the positive principal strains of the stretch ``U = (F^T F)^1/2``. It is the stretch of a bond
-        along the largest principal strain, and more than its stretch along other directions. Zero where the centre has
-        lost no bond. Bonds that lie across the pull shorten with the material: a gradient that has no others left
-        stretches without end and carries its stress through bonds that never reach their critical stretch.
+        ``<.>+`` keeps the positive principal strains of the stretch ``U = (F^T F)^1/2``. Only points that the bond
+        serves count. The result is the stretch of a bond along the largest principal strain, and exceeds its stretch
+        along other directions. It is zero if the centre has lost no bond.
+
+        Bonds normal to the tension shorten with the material. A gradient with only such bonds left stretches without
+        end, and transmits its stress through bonds that never reach their critical stretch.
         """
         operator, cloud, families = self.operator, self.body.cloud, self.body.families
         bonds_here = self.damage.bonds
@@ -232,28 +236,28 @@ class DamagedPoints(MaterialPoints):
         served = (bonds >= 0) & operator.g[entries].any(axis=1)
         bonds, of = bonds[served], of[served]
         xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]
-        if free is not None:  # the bond is as long as it is without force
+        if free is not None:  # use the force-free length of the bond
             xi = np.einsum("eij,ej->ei", free[points[of]], xi)
         pulled = np.linalg.norm(np.einsum("eij,ej->ei", positive[of], xi), axis=1)
         np.maximum.at(strain, bonds, pulled / bonds_here.length[bonds])
         return strain
 
     def energy(self, state: State) -> float:
-        """Return ``sum_p W_p T_p psi_p``, with the mean degradation factor of the bonds of a point."""
+        """Compute ``sum_p W_p phi_p psi_p``, with the mean degradation factor of the bonds of a point."""
         T = self.damage.phi(state)
         return float(self.operator.volume @ (self.point_energy(state) * self._at_points(T)))
 
     def local_damage(self) -> Float:
-        """Return ``1 - sum_j T V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""
+        """Compute ``1 - sum_j phi V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""
         return self.damage.lost_volume()
 
     def mean_stress(self, stress: Float) -> Float:
-        """Return the mean of ``T_p`` times the stress over the points of each own particle (not collective)."""
+        """Compute the mean of ``phi_p`` times the stress over the points of each own particle (not collective)."""
         T = np.where(self._dead, 0.0, self._at_points(self.damage.bonds.phi))
         return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def _at_points(self, T: Float) -> Float:
-        """Return the mean degradation factor of the bonds of every point (n_points,)."""
+        """Compute the mean degradation factor of the bonds of every point (n_points,)."""
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 
@@ -281,7 +285,7 @@ class DamagedPoints(MaterialPoints):
                 self._history.give(operator, self.materials)
 
     def _rebuilt(self) -> GradientOperator:
-        """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""
+        """Build the gradient over the unbroken bonds; a particle whose family is too flat gets no volume."""
         cloud, families = self.body.cloud, self.body.families
         centres, n = families.centres, cloud.n_owned
         detached = np.zeros(n, dtype=bool)
@@ -300,10 +304,10 @@ class DamagedPoints(MaterialPoints):
         return replace(operator, g=self._weights_left(operator), volume=volume)
 
     def _weights_left(self, operator: GradientOperator) -> Float:
-        """Return the weights (n_entries, dim): of families that have lost no bond those they had at the start.
+        """Return the weights (n_entries, dim); families that have lost no bond keep their initial weights.
 
-        Conforming weights are of the whole body, and a bond that breaks changes those of its two ends alone: the faces
-        of a crack that grows have no facets.
+        Conforming weights depend on the whole body, but a broken bond changes only those of its two ends: the faces of
+        a growing crack have no facets.
         """
         if self._whole is None:
             return operator.g
@@ -316,11 +320,12 @@ class DamagedPoints(MaterialPoints):
         return g
 
     def _by_bonds_left(self, operator: GradientOperator) -> Float:
-        """Return the volumes of the points: where the effect says so, bonds that are gone take their share with them.
+        """Compute the volumes of the points; if the damage evolution requires it, broken bonds reduce them.
 
-        ``V_i sum_left omega V / sum_all omega V`` of a particle, divided among its points as the volumes of their
-        neighbours: the force states of the bonds that are left stay as they were when a bond breaks, though the
-        gradient is that of fewer bonds, and a point with one bond left across a crack does not carry a whole stress.
+        The volume of a particle is ``V_i sum_left omega V / sum_all omega V``, distributed over its points like the
+        volumes of their neighbours. The force states of the remaining bonds then do not change when a bond breaks,
+        although the gradient is that of fewer bonds. A point with one remaining bond across a crack does not carry a
+        full stress.
         """
         cloud, centres = self.body.cloud, self.body.families.centres
         n = cloud.n_owned

@@ -19,15 +19,15 @@ from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
-# The forces of a consistent traction add up to this share of traction times face, or the region is not one whole face.
+# Range of the resultant of a consistent traction over traction times area; outside, the region is not one whole face.
 WHOLE_FACE = (0.5, 2.0)
-# A share that differs from 1 by less than this differs by round-off.
+# A share within this distance of 1 is 1 up to round-off.
 EXACT = 1e-9
 
 
 @dataclass(frozen=True)
 class _Applied:
-    """One component of a load on the particles ``where``, times ``scale`` (len(where),)."""
+    """Store one component of a load on the particles ``where``, times ``scale`` (len(where),)."""
 
     condition: Force | BodyForce | Traction
     axis: int
@@ -41,7 +41,7 @@ class _Applied:
 
 @dataclass(frozen=True)
 class _Consistent:
-    """A consistent traction with the share of the forces of its uniform stress that each particle takes (n_owned,)."""
+    """Store a consistent traction, with the factor on its uniform-stress forces for each particle (n_owned,)."""
 
     traction: Traction
     normal: Float
@@ -49,18 +49,18 @@ class _Consistent:
 
 
 class DeadLoads(PrescribedLoads):
-    """External forces of a case on this rank.
+    """Compute the external forces of a case on this rank.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     matter : Matter
-        The material, which gives the forces that balance a uniform stress.
+        Term of the material, which computes the forces that balance a uniform stress.
     particles : Particles
-        As declared; they give the areas of free faces.
+        Declared particles, which define the areas of free faces.
     cell : CellRows, optional
-        The virtual unknowns of a periodic cell.
+        Virtual unknowns of a periodic cell.
 
     Notes
     -----
@@ -92,7 +92,7 @@ class DeadLoads(PrescribedLoads):
     def add_total(
         self, condition: Force, components: Sequence[tuple[int, Value]], where: GlobalIndex, name: str
     ) -> None:
-        """Add a total force, shared by some own particles by volume."""
+        """Add a total force, distributed over some own particles by volume."""
         volume = self.body.cloud.volume[where]
         share = np.asarray(volume / float(total(self.body.cloud.comm, volume.sum())))
         self._add([_Applied(condition, axis, value, where, share) for axis, value in components], [], name)
@@ -107,12 +107,12 @@ class DeadLoads(PrescribedLoads):
     def add_traction(
         self, condition: Traction, components: Sequence[tuple[int, Value]], mask: Mask, normal: Float, name: str
     ) -> None:
-        """Add a traction on the face whose outer particles a mask (n_owned,) selects.
+        """Add a traction on the face whose outer particles are marked in a mask (n_owned,).
 
         Raises
         ------
         CaseError
-            The area of the face is not known, or the face is not one face.
+            The area of the face is unknown, or the region is not one face.
         """
         where = np.flatnonzero(mask)
         face = self._face(condition, normal, where, name)
@@ -128,13 +128,13 @@ class DeadLoads(PrescribedLoads):
         self._changed()
 
     def _add(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], name: str) -> None:
-        """Take in a load and note its resultant."""
+        """Store a load and record its resultant."""
         self._forces += forces
         self._consistent += consistent
         self._note(name, lambda t: self._sum(forces, consistent, t))
 
     def _sum(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], t: float) -> Float:
-        """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""
+        """Return the sum of loads at load parameter ``t`` (n_rows, dim) [force]."""
         f = np.zeros((self.body.cloud.n_rows, self.body.dim))
         with agreed(self.body.cloud.comm):
             for applied in forces:
@@ -146,14 +146,14 @@ class DeadLoads(PrescribedLoads):
         return f
 
     def _uniform(self, part: _Consistent, t: float) -> Float:
-        """Return the stresses ``t (x) n`` (n_owned, dim, dim) of a consistent traction (not collective)."""
+        """Compute the stresses ``t (x) n`` (n_owned, dim, dim) of a consistent traction (not collective)."""
         P = np.zeros((len(self._x), self.body.dim, self.body.dim))
         for axis, value in part.traction.components(self.body.dim):
             P[:, axis, :] = part.traction.value(value, self._x, t)[:, None] * part.normal
         return P
 
     def _face(self, traction: Traction, normal: Float, where: GlobalIndex, name: str) -> Float:
-        """Return the free face of each particle of a traction's region (len(where),) [area]."""
+        """Return the free area of each particle in the region of a traction (len(where),) [area]."""
         cloud = self.body.cloud
         if traction.area is not None:
             share = cloud.volume[where] ** ((cloud.dim - 1) / cloud.dim)
@@ -174,7 +174,7 @@ class DeadLoads(PrescribedLoads):
         return np.asarray(face)
 
     def _on_mirrors(self, normal: Float, count: int) -> Float:
-        """Return what of the free faces of the particles that this rank created is on mirror planes (count,) [area]."""
+        """Compute the part of the free faces of created particles that lies on mirror planes (count,) [area]."""
         cloud = self.body.cloud
         found = np.zeros(count)
         if cloud.places.planes:
@@ -187,11 +187,11 @@ class DeadLoads(PrescribedLoads):
         return found
 
     def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:
-        """Return what the forces of a uniform stress are multiplied with to be those of a traction (n_owned,) [-].
+        """Compute the factor between the forces of a uniform stress and those of a traction (n_owned,) [-].
 
-        Where the weights of the gradient satisfy the divergence theorem that is 1 near the face; else it lets the sum
-        be traction times face. A face whose neighbourhood reaches another one is refused: there the forces of the two
-        cancel.
+        If the gradient weights satisfy the divergence theorem, the factor is 1 near the face. Otherwise the factor
+        makes the resultant equal to traction times area. A face whose neighbourhood reaches another face is refused:
+        the forces of both would cancel.
         """
         P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
         reached = self._reach(mask)
@@ -207,7 +207,7 @@ class DeadLoads(PrescribedLoads):
         return np.where(reached, 1.0 if abs(factor - 1.0) < EXACT else factor, 0.0)
 
     def _refuse_mirrored(self, normal: Float, reached: Mask, name: str) -> None:
-        """Raise on all ranks where a mirror plane puts another face, with another stress, within reach (collective)."""
+        """Raise on all ranks if a mirror plane puts another face, with another stress, within reach (collective)."""
         cloud = self.body.cloud
         turned = np.zeros(cloud.n_local)
         if len(cloud.sign):
@@ -221,7 +221,7 @@ class DeadLoads(PrescribedLoads):
             )
 
     def _reach(self, mask: Mask) -> Mask:
-        """Return the own particles whose forces depend on a marked own one."""
+        """Return the own particles whose forces depend on a marked own particle."""
         marked = np.zeros(self.body.cloud.n_local)
         marked[: len(mask)] = mask
         self.body.cloud.halo.forward(marked)

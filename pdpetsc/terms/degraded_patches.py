@@ -1,4 +1,4 @@
-"""Damage at gradient points that share one dilatation in each patch of particles."""
+"""Damage at gradient points with one dilatation for each patch of particles."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from pdpetsc.terms.mean_dilatation import PatchPoints, Response
 
 
 class DegradedPatchPoints(DegradedPoints):
-    """Forces of ``sum_p W_p [phi_p (psi_open + share mu m^2 + psi_control) + psi_closed]`` at shared dilatations.
+    """Compute forces of ``sum_p W_p [phi_p (psi_open + share mu m^2 + psi_control) + psi_closed]`` with patches.
 
-    ``psi_open`` and ``psi_closed`` are those of ``F_bar``, with the mean dilatation ``<theta>`` of the patch, and ``m =
-    <theta> - theta`` is the rest. The part of the energy that depends on ``<theta>`` alone has therefore the mean
-    degradation factor of the patch. A crack that cuts the family of one point of a patch drives all of them, so that
-    the width of the failing band is that of the patch with its families.
+    ``psi_open`` and ``psi_closed`` are those of ``F_bar``, with the mean dilatation ``<theta>`` of the patch. The rest
+    is ``m = <theta> - theta``. The part of the energy that depends only on ``<theta>`` therefore has the mean
+    degradation factor of the patch. A crack that cuts the family of one point of a patch drives all its points. The
+    width of the failing band is therefore that of the patch with its families.
 
     Parameters
     ----------
     body, operator, materials, material_of, factor, damage_laws, control
         As for ``DegradedPoints``.
     patches : Patches
-        Which points share a dilatation.
+        Points that share a dilatation.
 
     Raises
     ------
     CaseError
-        The split reads more of the strain than the dilatation; besides as for ``DegradedPoints`` and ``PatchPoints``.
+        The split depends on more of the strain than the dilatation; also as for ``DegradedPoints`` and ``PatchPoints``.
 
     Notes
     -----
@@ -77,20 +77,20 @@ class DegradedPatchPoints(DegradedPoints):
         return self._sharing.patch_of_point
 
     def dependents(self, marked: Float) -> Mask:
-        """Return the own particles that share a patch with a marked local one (collective)."""
+        """Return the own particles that share a patch with a marked local particle (collective)."""
         return self._sharing.dependents(marked)
 
     def admissible(self, state: State) -> bool:
         """Return True if materials are defined and, unless all are linear, ``det F > 0`` at all points."""
-        self.laws(state)  # on every rank before one returns
+        self.laws(state)  # collective: compute it on every rank
         return self._sharing.admissible(state) and super().admissible(state)
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_bar`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
+        """Return ``F_bar`` (n_points, dim, dim) [-]; I at failed points if there is no closed part."""
         return self._without_failed(self._sharing.shared(state).F_bar)
 
     def response(self, state: State) -> Response:
-        """Return the stresses at an admissible state, damage included."""
+        """Compute the stresses at an admissible state, damage included."""
 
         def make() -> Response:
             P_bar = super(DegradedPatchPoints, self)._degraded_stress(state)
@@ -102,24 +102,24 @@ class DegradedPatchPoints(DegradedPoints):
         return self.response(state).P.copy()
 
     def point_energy(self, state: State) -> Float:
-        """Return ``phi (psi_open + share mu m^2) + psi_closed`` (n_points,) [energy / volume]."""
+        """Compute ``phi (psi_open + share mu m^2) + psi_closed`` (n_points,) [energy / volume]."""
         return np.asarray(super().point_energy(state) + 0.5 * self._rest(state) * self._missing(state) ** 2)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
-        """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
+        """Compute the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
         shared = self._sharing.shared_at(state, F, volume)
         energy = super().energy_at(state, self._without_failed(shared.F_bar), volume)
         return np.asarray(energy + 0.5 * self._rest(state) * shared.missing**2)
 
     def cauchy_stress(self, state: State) -> Float:
-        """Return the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P where the body is linear."""
+        """Compute the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P if linear."""
         P, F = self.stress(state), self.point_gradient(state)
         if self._linear:
             return self.mean_stress(P)
         return self.mean_stress(np.einsum("pik,pjk->pij", P, F) / np.linalg.det(F)[:, None, None])
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the tangent of points and patches and, unless damage is held, what the derivative of phi adds."""
+        """Return the tangent of points and patches and, unless damage is held, the derivative of phi."""
         F = self.deformation(state)
         moduli = self._degraded(state, lambda laws, only: laws.moduli(F, only))
         residual = self._residual_moduli(state)
@@ -133,11 +133,11 @@ class DegradedPatchPoints(DegradedPoints):
         return self._sharing.shared(state).missing
 
     def _unresolved_energy(self, state: State) -> Float:
-        """Return ``share mu m^2 + psi_control`` (n_points,) [energy / volume]."""
+        """Compute ``share mu m^2 + psi_control`` (n_points,) [energy / volume]."""
         return np.asarray(super()._unresolved_energy(state) + 0.5 * self._sharing.rest * self._missing(state) ** 2)
 
     def _reach(self) -> Float:
-        """Return half of the largest width of a failing band at each own particle (n_owned,) [length]."""
+        """Return half the largest width of a failing band at each own particle (n_owned,) [length]."""
         return np.asarray(super()._reach() + 0.5 * self._edge * np.sqrt(self.body.dim))
 
     def _driving_stencils(self, points: GlobalIndex) -> StencilMembers:
@@ -147,7 +147,7 @@ class DegradedPatchPoints(DegradedPoints):
         return StencilMembers(patches.owner[of], first, patches.members[entries])
 
     def _by_stencil(self, points: GlobalIndex) -> GlobalIndex:
-        """Return points in the ascending order of the owners of their patches."""
+        """Sort points by the owners of their patches."""
         return points[np.argsort(self.patch_of_point[points], kind="stable")]
 
     def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:

@@ -1,4 +1,4 @@
-"""Damage at gradient points: material and control lose their force together, from one energy."""
+"""Damage at gradient points: material and control are degraded together, from one energy."""
 
 from __future__ import annotations
 
@@ -24,44 +24,44 @@ from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.material_points import MaterialPoints
 
-# Points whose drive is above this share of that of the onset take the final drive of their own direction.
+# Points whose drive exceeds this share of the onset compute the final drive of their own direction.
 NEAR_ONSET = 0.5
-# Families are listed for so many points at once.
+# Number of points whose families are listed at once.
 MOST_LISTED = 4096
-# Share of its stiffness that a failed point, and the control of its particle, keep: what has come free stays where it
-# is, with forces far below those of what is whole.
+# Remaining share of the stiffness of a failed point and the control of its particle. It holds detached pieces in place,
+# with forces far below those of intact points.
 RESIDUAL = 1e-8
-# Directions in which Gc is checked, by dimension.
+# Number of directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}
 
 
 class DrivingControl(Protocol):
-    """A zero-energy control as the points of its families read it (methods of ``Control``)."""
+    """Define the interface of a zero-energy control for the points of its families (methods of ``Control``)."""
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles with their centre first."""
+        """Return the families of some own particles, centre first."""
         ...
 
     def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Return the derivative of their energies by the displacements of their members (n_entries, dim) [force]."""
+        """Compute the derivative of their energies by the displacements of their members (n_entries, dim) [force]."""
         ...
 
     def family_energy(self, u: Float) -> Float:
-        """Return the energy of the family of every own particle (n_owned,) [energy]."""
+        """Compute the energy of the family of every own particle (n_owned,) [energy]."""
         ...
 
 
 class Driven(NamedTuple):
-    """The points at a state.
+    """Store drive and degradation factor of the points at a state.
 
     Attributes
     ----------
     x : (n_points,) float64
         Drive [-].
     phi, slope : (n_points,) float64
-        Degradation factor, and its derivative by the drive where it falls [-].
+        Degradation factor, and its derivative by the drive at points that fail [-].
     fails : (n_points,) bool
-        Where it falls.
+        Points whose degradation factor decreases.
     """
 
     x: Float
@@ -71,20 +71,19 @@ class Driven(NamedTuple):
 
 
 class DegradedPoints(MaterialPoints, DamageModel):
-    """Forces of ``sum_p W_p [phi_p (psi_open + psi_control) + psi_closed]``, ``phi_p`` the degradation factor.
+    """Compute forces of ``sum_p W_p [phi_p (psi_open + psi_control) + psi_closed]``, degradation factor ``phi_p``.
 
-    The forces of the control are those of ``DegradedControl``; the derivative of ``phi_p`` by the displacement is in
-    the tangent of this term, ``dphi/dY (P_open . g + f_control) (x) (P_open . g + f_control)`` for each point that
-    fails.
+    ``DegradedControl`` computes the forces of the control. The derivative of ``phi_p`` by the displacement is in the
+    tangent of this term: ``dphi/dY (P_open . g + f_control) (x) (P_open . g + f_control)`` for each point that fails.
 
     Parameters
     ----------
     body, operator, materials, material_of, factor
         As for ``MaterialPoints``.
     damage_laws : AssignedPointDamage
-        As declared, with the law of each particle.
+        Declared damage, with the law of each particle.
     control : DrivingControl or None
-        The zero-energy control of the intact body.
+        Zero-energy control of the intact body.
 
     Raises
     ------
@@ -128,7 +127,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
         self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
         self._refuse_strength()
-        # The width of a family along the first axis stands for that along the largest strain before there is any.
+        # Without strain, the width of a family along the first axis replaces that along the largest strain.
         everything = np.arange(operator.n_points)
         final = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
         self.points.final[:] = np.where(self.points.spared, 1.0, final)
@@ -136,12 +135,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._volume = operator.sum_over_points(operator.volume)
 
     def _refuse_strength(self) -> None:
-        """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
+        """Raise CaseError if points would store more energy at the onset than the crack may dissipate (collective)."""
         points, cloud = self.points, self.body.cloud
         fails, comm = np.flatnonzero(~points.spared), cloud.comm
         owner = self.operator.owner[fails]
         reach, place = self._reach()[owner], cloud.x[owner]
-        # A function of the direction may be least off the axes.
+        # A function of the direction may have its minimum off the axes.
         fan, shares = _fan(self.body.dim) if self.damage_laws.varies else np.eye(self.body.dim)[:1], []
         for along in fan:
             with agreed(comm):
@@ -159,11 +158,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
             )
 
     def _reach(self) -> Float:
-        """Return half of the largest width of a failing band at each own particle (n_owned,) [length]."""
+        """Return half the largest width of a failing band at each own particle (n_owned,) [length]."""
         return self.body.families.reach(self.body.cloud.x)
 
     def _final(self, points: GlobalIndex, along: Float) -> Float:
-        """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
+        """Compute the final drive r (n,) of some points for cracks normal to directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
             owner = self.operator.owner[points]
             Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
@@ -173,9 +172,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return final
 
     def _width(self, points: GlobalIndex, along: Float) -> Float:
-        """Return how far stencils of some points reach along directions (n, dim), to both sides (n,) [length].
+        """Compute the extent of the stencils of some points along directions (n, dim), to both sides (n,) [length].
 
-        With a control it is the whole family of the particle: the energy of its control drives all of its points.
+        With a control the stencil is the whole family of the particle: the energy of its control drives all its points.
         """
         found = np.zeros(len(points))
         for begin in range(0, len(points), MOST_LISTED):
@@ -200,12 +199,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether forces are linear: damage is held and no crack can close."""
+        """Return True if the forces are linear: damage is held and no crack can close."""
         return super().linear and self.frozen and self._closed is None
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return whether they are as long as nothing fails."""
+        """Return True if the forces are linear as long as no point fails."""
         return self._linear and self._closed is None
 
     @property
@@ -220,22 +219,22 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def lost(self) -> Mask | None:
-        """Mark the points that had failed at the last converged step (n_points,)."""
+        """Return the points that had failed at the last converged step (n_points,)."""
         return self.points.gone
 
     @property
     def timed(self) -> bool:  # type: ignore[override]
-        """Return whether a material depends on time."""
+        """Return True if a material depends on time."""
         return super().timed
 
-    # What a damage model is asked.
+    # Interface of a damage model.
 
     forces_have_energy = True
     conduction_version = 0
 
     @property
     def conducting_points(self) -> Float:
-        """Return the degradation factors of the points (n_points,): failed ones insulate."""
+        """Return the degradation factors of the points (n_points,): failed points insulate."""
         return self.points.phi
 
     @property
@@ -249,7 +248,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self.points
 
     def driven(self, state: State) -> Driven:
-        """Return drive and degradation factor of the points at a state (collective)."""
+        """Compute drive and degradation factor of the points at a state (collective)."""
 
         def make() -> Driven:
             x = np.sqrt(np.maximum(self._open_energy(state), 0.0) / self.points.onset_energy)
@@ -259,24 +258,24 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return state.kept(("driven", self.version, self.frozen, self.points.slack), make)
 
     def _open_energy(self, state: State) -> Float:
-        """Return ``Y = psi_open + psi_control`` (n_points,) [energy / volume]."""
+        """Compute ``Y = psi_open + psi_control`` (n_points,) [energy / volume]."""
         F = self.deformation(state)
         Y = self.laws(state).energy(F) + self._unresolved_energy(state)
-        if self._closed is not None:  # which only lowers it: far below the onset it does not matter
+        if self._closed is not None:  # the closed part only lowers Y: far below the onset it does not matter
             Y = Y - self._closed.laws(state).energy(F, NEAR_ONSET**2 * self.points.onset_energy < Y)
         return Y
 
     def _unresolved_energy(self, state: State) -> Float:
-        """Return the part of Y that is no energy of F: ``psi_control`` (n_points,) [energy / volume]."""
+        """Compute the part of Y that does not depend on F: ``psi_control`` (n_points,) [energy / volume]."""
         if self._control is None:
             return np.zeros(self.operator.n_points)
         return np.asarray((self._control.family_energy(state.u_local) / self._volume)[self.operator.owner])
 
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
-        """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
+        """Return largest drives, final drives and degradation factors (n_points,) at a state (collective).
 
-        The width of a family is that across the crack that begins where damage is first taken beyond the onset: it
-        stays for the rest of the load step, in which sweeps and Newton else might go to and fro between two directions.
+        The width of a family is that normal to the crack that begins when damage is first accepted beyond the onset. It
+        is fixed for the rest of the load step. Otherwise sweeps and Newton might alternate between two directions.
         """
         points, x = self.points, self.driven(state).x
         final = points.final.copy()
@@ -287,12 +286,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return kappa, final, points.phi_of(kappa, final)
 
     def _across(self, state: State, points: GlobalIndex, x: Float) -> Float:
-        """Return unit normals (n, dim) of the crack at some points, for the drives x of all points (collective).
+        """Compute unit normals (n, dim) of the crack at some points, for the drives x of all points (collective).
 
         The normal is the first principal direction of the mean of ``M_q`` over the members of the family. ``M_q`` is
-        the mean square of the relative displacements in the family of q, without rotation and compression, over that
-        of its bonds: ``M = <strain>^2 / dim + sum z (x) z / sum |xi|^2`` with the residual of the gradient,
-        ``z = eta - (F - I) xi``. Strain alone is oblique beside a tip; its shear cancels between the two sides.
+        the mean square of the relative displacements in the family of q, without rotation and compression, over that of
+        its bonds: ``M = <strain>^2 / dim + sum z (x) z / sum |xi|^2``. The residual of the gradient is ``z = eta - (F -
+        I) xi``. Strain alone is oblique near a tip, and its shear cancels between both sides.
         """
         cloud, operator, dim = self.body.cloud, self.operator, self.body.dim
         gradient, u = super().deformation(state), state.u_local
@@ -324,14 +323,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return np.asarray(np.linalg.eigh(M)[1][:, :, -1])
 
     def fading(self, state: State) -> float:
-        """Return by how much a degradation factor would change at most [-]."""
+        """Return the largest change of a degradation factor that a state would cause [-]."""
         phi = self._followed(state)[2]
         return largest(self.body.cloud.comm, float(np.abs(phi - self.points.phi).max(initial=0.0)))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state; return the largest change of a degradation factor [-].
+        """Accept the damage at a state; return the largest change of a degradation factor [-].
 
-        It is that of the converged step before and of this state alone, so that sweeps lower one energy.
+        The damage depends only on the last converged step and this state, so that sweeps lower one energy.
         """
         points = self.points
         before = points.phi.copy()
@@ -341,11 +340,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return change
 
     def keep(self, state: State) -> None:
-        """Keep the damage at a converged state (not collective)."""
+        """Commit the damage at a converged state (not collective)."""
         self.points.commit()
 
     def revert(self) -> bool:
-        """Take back what failed since the last ``keep``; no weights change."""
+        """Undo the damage since the last ``keep``; return False, since no weights change."""
         self.points.revert()
         self.conduction_version += 1
         return False
@@ -355,18 +354,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
-        """Go back to them (not collective)."""
+        """Restore stored values (not collective)."""
         self.points.phi[:], self.points.largest[:], self.points.final[:] = stored
         self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_p`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
+        """Return ``F_p`` (n_points, dim, dim) [-]; I at failed points if there is no closed part."""
         return self._without_failed(super().deformation(state))
 
     def _without_failed(self, F: Float) -> Float:
-        """Return gradients F (n_points, dim, dim) [-] with I at points that have failed if nothing is kept there."""
+        """Replace gradients F (n_points, dim, dim) [-] of failed points by I if there is no closed part."""
         failed = self.points.gone
         if self._closed is not None or not failed.any():
             return F
@@ -375,18 +374,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return F
 
     def point_gradient(self, state: State) -> Float:
-        """Return F of the points (n_points, dim, dim) [-], also of those that have failed."""
+        """Return F of the points (n_points, dim, dim) [-], including failed ones."""
         return super().deformation(state)
 
     def stress(self, state: State) -> Float:
-        """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
+        """Compute ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
         P = self._degraded_stress(state)
         failed, soft, strain = self._residual(state)
         P[failed] += soft[:, None, None] * strain
         return P
 
     def moduli_sets(self, state: State) -> Moduli:
-        """Return ``phi A_open + A_closed``, damage held."""
+        """Compute ``phi A_open + A_closed``, damage held."""
         F = self.deformation(state)
         A = self._degraded(state, lambda laws, only: laws.moduli(F, only))
         failed, residual = self._residual_moduli(state)
@@ -394,19 +393,19 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return Moduli(A)
 
     def _degraded_stress(self, state: State) -> Float:
-        """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress], a new array."""
+        """Compute ``phi P_open + P_closed`` (n_points, dim, dim) [stress] in a new array."""
         F = self.deformation(state)
         return self._degraded(state, lambda laws, only: laws.stress(F, only))
 
     def _residual_moduli(self, state: State) -> tuple[GlobalIndex, Float]:
-        """Return points that have failed at a state, and their moduli (n, dim, dim, dim, dim) [stress]."""
+        """Return failed points at a state, and their residual moduli (n, dim, dim, dim, dim) [stress]."""
         failed, soft, _ = self._residual(state)
         one = np.eye(self.body.dim)
         symmetric = 0.5 * (np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one))
         return failed, soft[:, None, None, None, None] * symmetric
 
     def point_energy(self, state: State) -> Float:
-        """Return ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
+        """Compute ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
         F = self.deformation(state)
         psi = self._degraded(state, lambda laws, only: laws.energy(F, only))
         failed, soft, strain = self._residual(state)
@@ -414,9 +413,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return psi
 
     def _degraded(self, state: State, of: Callable[[PointLaws, Mask | None], Float]) -> Float:
-        """Return ``phi (whole - closed) + closed`` of a number of the points (n_points, ...).
+        """Compute ``phi (whole - closed) + closed`` of a quantity of the points (n_points, ...).
 
-        ``of`` returns it for laws; the second argument marks the points for which it matters.
+        ``of`` computes it for laws; its second argument marks the required points.
         """
         whole, phi = of(self.laws(state), None), self.driven(state).phi
         each = phi.reshape(-1, *(1,) * (whole.ndim - 1))
@@ -426,28 +425,28 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return np.asarray(each * whole + (1.0 - each) * closed)
 
     def _residual(self, state: State) -> tuple[GlobalIndex, Float, Float]:
-        """Return points that have failed at a state, their modulus [stress], and the symmetric part of F - I there.
+        """Return failed points at a state, their residual modulus [stress], and the symmetric part of F - I there.
 
-        They store ``1/2 soft eps : eps``, so that what has come free is held where it is, by forces that are far below
-        those of what is whole.
+        They store ``1/2 soft eps : eps``. It holds detached pieces in place, with forces far below those of intact
+        points.
         """
         failed = np.flatnonzero(self.driven(state).phi == 0.0)
         H = self.point_gradient(state)[failed] - np.eye(self.body.dim)
         return failed, self._soft[failed], 0.5 * (H + H.transpose(0, 2, 1))
 
     def linearise(self, state: State) -> list[Product]:
-        """Return ``G^T W (phi A_open + A_closed) G`` and, unless damage is held, what the derivative of phi adds."""
+        """Return ``G^T W (phi A_open + A_closed) G`` and, unless damage is held, the derivative of phi."""
         found: list[Product] = [PointProduct(self.operator, self.moduli_sets(state))]
         return found if self.frozen else [*found, self._softening(state)]
 
     def _open_stress(self, state: State) -> Float:
-        """Return ``P_open`` (n_points, dim, dim) [stress], without damage."""
+        """Compute ``P_open`` (n_points, dim, dim) [stress], without damage."""
         F = self.deformation(state)
         P = self.laws(state).stress(F)
         return P if self._closed is None else P - self._closed.laws(state).stress(F)
 
     def _softening(self, state: State) -> Product:
-        """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
+        """Return ``W dphi/dY v (x) v`` of failing points, ``v = dY/du`` over the members of their stencil."""
         points, driven = self.points, self.driven(state)
         active = self._by_stencil(np.flatnonzero(driven.fails))
         stencils, v = self._drive_gradient(state, active)
@@ -455,11 +454,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
 
     def _by_stencil(self, points: GlobalIndex) -> GlobalIndex:
-        """Return points in the ascending order of the owners of their driving stencils."""
+        """Sort points by the owners of their driving stencils."""
         return points
 
     def dissipation_gradient(self, state: State) -> Float:
-        """Return the derivative of the dissipated energy by the unknowns, of points that fail (n_rows, dim) [force].
+        """Compute the derivative of the dissipated energy by the unknowns, of failing points (n_rows, dim) [force].
 
         ``sum_p -W Y dphi/dY v`` (collective).
         """
@@ -497,38 +496,38 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return 1.0 - self._of_particles(self.points.phi)
 
     def dissipation_density(self) -> Float:
-        """Return the mean of ``-int Y dphi`` over the points of each own particle (n_owned,) [energy / volume]."""
+        """Compute the mean of ``-int Y dphi`` over the points of each own particle (n_owned,) [energy / volume]."""
         return self._of_particles(self.points.dissipated())
 
     def cauchy_stress(self, state: State) -> Float:
-        """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
+        """Compute the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
         return self.mean_stress(self.laws(state).cauchy_of(self.stress(state), self.deformation(state)))
 
     def energy_by_strain(self, state: State) -> Float:
-        """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
+        """Compute the derivative of the energy density by the eigenstrain at constant F (n_points, 3, 3)."""
         F = self.deformation(state)
         return self._degraded(state, lambda laws, only: laws.energy_by_strain(F))
 
     def energy_by_temperature(self, state: State, temperature: Float, step: float) -> Float:
-        """Return it with what has been lost (n_points,)."""
+        """Compute the derivative of the degraded energy density by the temperature of the law (n_points,)."""
         F, at = self.deformation(state), temperature[self.operator.owner]
         return self._degraded(state, lambda laws, only: laws.energy_by_temperature(F, at, step))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
-        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
+        """Return stretch, P and Cauchy stress normal to a plane or line body (n_owned,)."""
         F = self.deformation(state)
         stretch, whole, sigma = self.laws(state).out_of_plane(F)
-        # Both stresses are in the ratio of that of what is whole.
+        # The ratio of both stresses is that of the intact material.
         current = np.divide(sigma, whole, out=np.ones_like(sigma), where=whole != 0.0)
         P = self._degraded(state, lambda laws, only: laws.out_of_plane(F)[1])
         return self._mean(stretch), self.mean_stress(P), self.mean_stress(P * current)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
-        """Return the energy density of all points (n_points,) at other gradients F, with the damage of the state."""
+        """Compute the energy density of all points (n_points,) at other gradients F, with the damage of the state."""
         return self._degraded(state, lambda laws, only: laws.energy(F, only))
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return the histories of the materials, and what the points have lost."""
+        """Return the histories of the materials and the damage of the points."""
         points, owner = self.points, self.operator.owner
         return {
             **super().arrays(),
@@ -538,7 +537,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         }
 
     def restored(self) -> None:
-        """Follow what has been read from a checkpoint (not collective)."""
+        """Update after the arrays have been read from a checkpoint (not collective)."""
         super().restored()
         self.points.largest[:] = self.points.kappa
         self.points.commit()
@@ -546,14 +545,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
 
 class DegradedControl(ControlForces):
-    """A zero-energy control whose families lose their stiffness with the points of their particle.
+    """Compute the forces of a zero-energy control whose families are degraded with the points of their particle.
 
     Parameters
     ----------
     body, name, control
         As for ``ControlForces``.
     points : DegradedPoints
-        What degrades it.
+        Points that determine the degradation factor.
     """
 
     def __init__(self, body: Body, name: str, control: Control, points: DegradedPoints) -> None:
@@ -562,7 +561,7 @@ class DegradedControl(ControlForces):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether damage is held."""
+        """Return True if damage is held."""
         return self._points.frozen
 
     def at(self, state: State) -> Control:
@@ -572,12 +571,12 @@ class DegradedControl(ControlForces):
         return state.kept(key, lambda: self.control.scaled(points.share(state)))
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
-        """Return the data of its forces at a state."""
+        """Return the data of the forces at a state."""
         return self.at(state).shared_gradient(operator)
 
 
 def _fan(dim: int) -> Float:
-    """Return unit vectors (n, dim) all around, of opposite ones one, the first along the first axis."""
+    """Return unit vectors (n, dim) in all directions, one of each opposite pair, the first along the first axis."""
     if dim == 1:
         return np.ones((1, 1))
     if dim == 2:
@@ -590,7 +589,7 @@ def _fan(dim: int) -> Float:
 
 
 def places_of(of: StencilMembers, rows: GlobalIndex, stencils: StencilMembers, n_local: int) -> GlobalIndex:
-    """Return the place of each member of ``of`` (n_entries,) in stencils, of which it has these rows."""
+    """Return the index of each member of ``of`` (n_entries,) in ``stencils``, whose rows ``rows`` it represents."""
 
     def keys(number: GlobalIndex, one: StencilMembers) -> GlobalIndex:
         return np.asarray(np.repeat(number, np.diff(one.point_ptr)) * np.int64(n_local) + one.members)

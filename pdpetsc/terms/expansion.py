@@ -1,4 +1,4 @@
-"""The strains without stress of a body from what a case declares."""
+"""Build the eigenstrains and temperatures of a body from the declarations of a case."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pdpetsc.terms.conditions import Applied
 
 
 def prescribed_temperature(body: Body, applied: Applied, start: Float) -> PrescribedTemperature:
-    """Return the temperature that conditions give, ``start`` (n_owned,) elsewhere (collective).
+    """Build the prescribed temperature, ``start`` (n_owned,) for other particles (collective).
 
     Raises
     ------
@@ -36,7 +36,7 @@ def prescribed_temperature(body: Body, applied: Applied, start: Float) -> Prescr
 
 
 def reference_temperature(thermals: Sequence[Thermal | None], material_of: LocalIndex) -> Float:
-    """Return the stress-free temperature of the material of each own particle (n_owned,), 0 where it has none."""
+    """Return the stress-free temperature of the material of each own particle (n_owned,), 0 without one."""
     of = np.array([0.0 if one is None else float(one.reference) for one in thermals])
     return np.asarray(of[material_of])
 
@@ -45,13 +45,13 @@ def stress_free(
     body: Body, applied: Applied, thermals: Sequence[Thermal | None], material_of: LocalIndex,
     materials: Sequence[Material | BondMaterial], field: TemperatureField | None = None,
 ) -> StressFree:  # fmt: skip
-    """Return what the body deforms by without stress, at a temperature that conditions give or ``field`` (collective).
+    """Build the stress-free deformation of a body, with prescribed temperature or ``field`` (collective).
 
     Raises
     ------
     CaseError
-        A material expands and has no temperature, or a temperature acts on no such material; two conditions prescribe
-        different temperatures of one particle; or a function fails at the beginning or the end of the load.
+        A material expands and has no temperature, or a temperature acts on no such material. Two conditions prescribe
+        different temperatures of one particle. A function fails at the beginning or the end of the load.
     """
     thermal = any(one is not None for one in thermals)
     if field is None and applied.heat:

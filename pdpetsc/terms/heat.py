@@ -1,4 +1,4 @@
-"""Heat conduction on the gradient of the scheme, or along bonds: what flows, what is stored, what enters."""
+"""Heat conduction with the gradient of the scheme, or along bonds: conduction, capacity and sources."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.conditions import Applied
 from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
 
-# Directions in which a family has less than this share of its largest second moment have no slope.
+# A family with less than this share of its largest second moment in a direction has no slope there.
 FLAT = 1e-10
-# Strength of the control where a particle has one gradient point.
+# Strength of the control for one gradient point per particle.
 CONTROL = 0.5
 
 
 class ConductedTemperature(TemperatureField):
-    """A temperature that is solved for, from one load step to the next.
+    """Store a temperature that is solved from one load step to the next.
 
     Attributes
     ----------
     before, now : (n_owned,) float64
-        At the last converged step, and in the present one.
+        Temperature at the last converged step, and in the current one.
     """
 
     def __init__(self, start: Float) -> None:
@@ -45,25 +45,25 @@ class ConductedTemperature(TemperatureField):
         self.now = start.copy()
 
     def at(self, t: float) -> Float:
-        """Return the temperature of the present step, whatever the step time (not collective)."""
+        """Return the temperature of the current step, for any load parameter (not collective)."""
         return self.now.copy()
 
     def take(self, temperature: Float) -> None:
-        """Take the temperature of a step (not collective)."""
+        """Set the temperature of the current step (not collective)."""
         self.now[:] = temperature
         self.version += 1
 
 
 @dataclass(frozen=True)
 class Conducting:
-    """Conductivity and capacity of the own particles.
+    """Store conductivity and capacity of the own particles.
 
     Attributes
     ----------
     k : (n_owned, dim, dim) float64
-        [power / length / temperature].
+        Conductivity [power / length / temperature].
     c : (n_owned,) float64
-        [energy / volume / temperature]; zeros where conduction takes no time.
+        Capacity [energy / volume / temperature]; zeros for steady conduction.
     """
 
     k: Float
@@ -71,12 +71,12 @@ class Conducting:
 
     @staticmethod
     def of(thermals: Sequence[Thermal | None], material_of: LocalIndex, dim: int, in_time: bool) -> Conducting:
-        """Return those of the materials of the own particles.
+        """Evaluate the materials of the own particles.
 
         Raises
         ------
         CaseError
-            A material does not say what conduction needs.
+            A material does not define a required property.
         """
         k, c = np.zeros((len(thermals), dim, dim)), np.zeros(len(thermals))
         for number, thermal in enumerate(thermals):
@@ -93,33 +93,34 @@ class Conducting:
 
 
 class Heat(Term):
-    """Heat conduction of a body: a term without forces, which keeps the temperature of a run.
+    """Represent heat conduction of a body: a term without forces, which stores the temperature of a run.
 
-    ``C dT/dt + K T = Q`` with ``K = G^T (W k) G + K_control + K_convection`` and ``C = c V``. The control resists
-    ``T_j - T_i - grad T . xi`` with the strength ``G tr k / dim``, as Silling's does for displacements. Of materials of
-    bonds, ``K`` is the sum over bonds of ``kappa_ij (T_j - T_i)`` with ``kappa_ij = dim V_i k omega V_j / sum_j omega
-    V_j |xi|^2``, from both ends.
+    The equation is ``C dT/dt + K T = Q`` with ``K = G^T (W k) G + K_control + K_convection`` and ``C = c V``. The
+    control resists ``T_j - T_i - grad T . xi`` with the strength ``G tr k / dim``, as Silling's control does for
+    displacements. For bond-based materials, ``K`` is the sum over bonds of ``kappa_ij (T_j - T_i)`` with ``kappa_ij =
+    dim V_i k omega V_j / sum_j omega V_j |xi|^2``, from both ends.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     declared : HeatConduction
-        As declared.
+        Declared heat conduction.
     conducting : Conducting
         Conductivity and capacity.
     operator : callable or None
-        Returns the present gradient operator; None for a body of bonds.
+        Returns the current gradient operator; None for a body of bonds.
     omega : (n_bonds,) float64
         Influence of every bond [-].
     field : ConductedTemperature
         The temperature.
     held : PrescribedTemperature
-        What conditions prescribe of it.
+        Prescribed temperatures.
     entering : sequence of (condition, mask)
         Heat through facets of the surface or in own particles.
     damage : DamageModel, optional
-        The bonds or gradient points that fail. Broken bonds conduct nothing, points the degradation factor times k.
+        Damage of bonds or points. Broken bonds conduct nothing; the conductivity of points is multiplied with the
+        degradation factor.
 
     Notes
     -----
@@ -147,24 +148,24 @@ class Heat(Term):
 
     @property
     def parts(self) -> list[str]:
-        """Return what it is made of."""
+        """Return the names of its parts."""
         return ["heat conduction"]
 
     @property
     def has_history(self) -> bool:
-        """Return whether the temperature depends on that of the step before."""
+        """Return True if the temperature depends on that of the last step."""
         return self.declared.duration is not None
 
     def linearise(self, state: State) -> list[Product]:
-        """Return nothing: it has no forces."""
+        """Return an empty list: there are no forces."""
         return []
 
     def commit(self, state: State) -> None:
-        """Take the temperature of the step for good."""
+        """Accept the temperature of the step."""
         self.field.before[:] = self.field.now
 
     def revert(self) -> None:
-        """Go back to the temperature of the last converged step (not collective)."""
+        """Restore the temperature of the last converged step (not collective)."""
         self.field.take(self.field.before)
 
     def arrays(self) -> Mapping[str, KeptArray]:
@@ -172,12 +173,12 @@ class Heat(Term):
         return {"temperature": KeptArray(np.arange(self.body.cloud.n_owned, dtype=np.int32), self.field.before)}
 
     def restored(self) -> None:
-        """Go on from a temperature that was read."""
+        """Continue from a temperature that was read."""
         self.revert()
 
     @property
     def broken(self) -> int:
-        """Return a number that grows whenever damage changes what conducts (not collective)."""
+        """Return a number that increases if damage changes the conductivity (not collective)."""
         return 0 if self._damage is None else self._damage.conduction_version
 
     @property
@@ -186,7 +187,7 @@ class Heat(Term):
         return self.conducting.c * self.body.cloud.volume[: self.body.cloud.n_owned]
 
     def matrix(self) -> scipy.sparse.csr_matrix:
-        """Return what this rank adds to K, over its particles with ghosts (n_local, n_local) (not collective)."""
+        """Compute the contribution of this rank to K (n_local, n_local), with ghosts (not collective)."""
         if self._operator is None:
             return self._along_bonds() + self._resisting
         operator = self._operator()
@@ -194,7 +195,7 @@ class Heat(Term):
         G = self.declared.control
         if G is None:
             G = CONTROL if operator.n_points == self.body.cloud.n_owned else 0.0
-        # Particles without a gradient have nothing but it.
+        # Particles without a gradient conduct by the control only.
         alone = np.zeros(self.body.cloud.n_owned, dtype=bool)
         alone[operator.owner[operator.volume == 0.0]] = True
         strength, left = np.where(alone, max(G, CONTROL), G), self._points_left
@@ -203,7 +204,7 @@ class Heat(Term):
         return K + self._control(strength) if strength.any() else K
 
     def sources(self, t: float) -> Float:
-        """Return Q of the own particles at step time ``t`` (n_owned,) [power] (collective)."""
+        """Compute Q of the own particles at load parameter ``t`` (n_owned,) [power] (collective)."""
         body, surface = self.body, self.body.surface
         n = body.cloud.n_owned
         Q = np.zeros(body.cloud.n_local)
@@ -221,7 +222,7 @@ class Heat(Term):
         return Q[:n]
 
     def flux(self, temperature: Float) -> Float:
-        """Return ``q = -k grad T``, the mean over the points of each own particle (n_owned, dim) (collective)."""
+        """Compute ``q = -k grad T``, the mean over the points of each own particle (n_owned, dim) (collective)."""
         cloud = self.body.cloud
         local = np.empty(cloud.n_local)
         local[: cloud.n_owned] = temperature
@@ -238,7 +239,7 @@ class Heat(Term):
         return operator.mean_over_points(q, cloud.n_owned)
 
     def _of_gradient(self, operator: GradientOperator) -> scipy.sparse.csr_matrix:
-        """Return ``G^T (W k) G``."""
+        """Compute ``G^T (W k) G``."""
         n, dim = self.body.cloud.n_local, self.body.dim
         shape = (operator.n_points, n)
         G = [
@@ -255,23 +256,23 @@ class Heat(Term):
         return scipy.sparse.csr_matrix(sum(parts[1:], parts[0]))
 
     def _conductivity(self, operator: GradientOperator) -> Float:
-        """Return the conductivity of the points of an operator (n_points, dim, dim), with their damage."""
+        """Return the conductivity of the points of an operator (n_points, dim, dim), including damage."""
         k, left = self.conducting.k[operator.owner], self._points_left
         return k if left is None else k * left[:, None, None]
 
     @property
     def _points_left(self) -> Float | None:
-        """Return the share of its conductivity that each gradient point has (n_points,); None for all."""
+        """Return the remaining share of the conductivity of each gradient point (n_points,); None if unchanged."""
         return None if self._damage is None else self._damage.conducting_points
 
     @property
     def _intact(self) -> Float:
-        """Return 1 for bonds that are left and 0 for others (n_bonds,)."""
+        """Return 1 for unbroken bonds and 0 for others (n_bonds,)."""
         left = None if self._damage is None else self._damage.conducting_bonds
         return np.ones(len(self._omega)) if left is None else left
 
     def _control(self, strength: Float) -> scipy.sparse.csr_matrix:
-        """Return ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` as a matrix, over bonds that are left."""
+        """Compute the matrix of ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` over unbroken bonds."""
         cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
         weight = self._omega * cloud.volume[families.neighbours] * self._intact
         whole = with_centres_of(np.arange(cloud.n_owned, dtype=np.int32), families.indptr, families.neighbours, weight)
@@ -294,7 +295,7 @@ class Heat(Term):
         return scipy.sparse.csr_matrix(D.T @ scipy.sparse.diags(each[families.centres] * weight) @ D)
 
     def _kappa(self) -> Float:
-        """Return ``kappa_ij`` of the bonds of the own particles (n_bonds,) [power / temperature]."""
+        """Compute ``kappa_ij`` of the bonds of the own particles (n_bonds,) [power / temperature]."""
         cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
         xi = families.bonds(cloud.x)
         weight = self._omega * cloud.volume[families.neighbours]
@@ -305,7 +306,7 @@ class Heat(Term):
         return np.asarray(each[families.centres] * weight * self._intact)
 
     def _along_bonds(self) -> scipy.sparse.csr_matrix:
-        """Return the conduction of bonds."""
+        """Compute the conduction matrix of bonds."""
         families = self.body.families
         D = _differences(families.centres, families.neighbours, self.body.cloud.n_local)
         return scipy.sparse.csr_matrix(D.T @ scipy.sparse.diags(self._kappa()) @ D)
@@ -318,7 +319,7 @@ class Heat(Term):
         return np.repeat(np.arange(len(surface.x)), np.diff(surface.ptr))
 
     def _convection(self) -> scipy.sparse.csr_matrix:
-        """Return ``sum_f h |a_f| N_f (x) N_f``."""
+        """Compute ``sum_f h |a_f| N_f (x) N_f``."""
         n, surface = self.body.cloud.n_local, self.body.surface
         K = scipy.sparse.csr_matrix((n, n))
         for condition, mask in self._entering:
@@ -331,7 +332,7 @@ class Heat(Term):
 
 
 def _differences(first: LocalIndex, second: LocalIndex, n: int) -> scipy.sparse.csr_matrix:
-    """Return the matrix that takes ``T_j - T_i`` of bonds from the temperatures of n local particles."""
+    """Build the matrix that maps the temperatures of n local particles to ``T_j - T_i`` of bonds."""
     rows, one = np.arange(len(first)), np.ones(len(first))
     shape = (len(first), n)
     return scipy.sparse.csr_matrix((one, (rows, second)), shape=shape) - scipy.sparse.csr_matrix(
@@ -344,13 +345,13 @@ def heat_of(
     material_of: LocalIndex, operator: Callable[[], GradientOperator] | None, omega: Float,
     damage: DamageModel | None,
 ) -> Heat:  # fmt: skip
-    """Return the conduction that a case declares, at its start (collective).
+    """Build the heat conduction that a case declares, in its initial state (collective).
 
     Raises
     ------
     CaseError
-        A material does not say what conduction needs, nothing fixes the level of a steady temperature, or where
-        conduction takes time a condition does not say how it goes on in time.
+        A material does not define a required property. Nothing determines the level of a steady temperature. In
+        transient conduction, a condition does not define its schedule.
     """
     cloud = body.cloud
     _refuse_unfit(declared, applied)
@@ -374,7 +375,7 @@ def heat_of(
 
 
 def _refuse_unfit(declared: HeatConduction, applied: Applied) -> None:
-    """Raise CaseError where conditions do not make a problem of conduction, on every rank."""
+    """Raise CaseError on every rank if the conditions do not define a problem of conduction."""
     if declared.duration is None:
         if not applied.temperatures and not any(isinstance(condition, Convection) for _, condition, _ in applied.heat):
             raise CaseError(

@@ -1,4 +1,4 @@
-"""What materials remember where the gradient points of a particle change with the bonds that are left."""
+"""Material histories that persist while the gradient points of a particle change with its bonds."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pdpetsc.problem.term import KeptArray
 
 
 class KeptHistory:
-    """Histories of materials in rows that stay where they are while bonds break and points come and go.
+    """Store material histories in fixed rows, while bonds break and points appear and disappear.
 
-    A particle has a row for each of its points, or for each part of its family (``Parts``). A part that has lost its
-    point has from then on the history of the point that took its bonds over, and goes on from there should it get one
-    again. What is not committed is not in the rows: to mend bonds is to go back.
+    A particle has a row for each of its points, or for each part of its family (``Parts``). A part without a point
+    shares the history of the point that took over its bonds. It continues from there if it gets a point again. The rows
+    contain committed values only: mending bonds restores them.
 
     Parameters
     ----------
     operator : GradientOperator
-        The gradient of the whole body.
+        Gradient of the intact body.
     materials : sequence of MaterialAtPoints
-        At the points of that, undeformed.
+        Undeformed materials at its points.
     material_of : (n_owned,) int
         Index into ``materials`` of each own particle.
     x : (n_local, dim) float64
@@ -39,7 +39,7 @@ class KeptHistory:
         self._n_parts = 0 if parts is None else parts.served_by.shape[1]
         whole = operator.owner if parts is None else np.repeat(np.arange(len(parts.served_by)), self._n_parts)
         self._owner: LocalIndex = whole.astype(np.int32)
-        # Place of each row among those of its material.
+        # Index of each row among those of its material.
         self._place = np.empty(len(whole), dtype=np.int64)
         self._rows: list[GlobalIndex] = []
         self._values: list[Float] = []
@@ -51,12 +51,12 @@ class KeptHistory:
             self._values.append(one.undeformed(at))
 
     def give(self, operator: GradientOperator, materials: Sequence[MaterialAtPoints]) -> None:
-        """Put the histories at the points of an operator.
+        """Write the histories to the points of an operator.
 
         Raises
         ------
         CaseError
-            The scheme gives particles other points once bonds have broken, and does not say of which part.
+            The scheme has other points after bonds have broken, and does not define their parts.
         """
         if operator.parts is None:
             if not np.array_equal(operator.owner, self._owner):
@@ -72,7 +72,7 @@ class KeptHistory:
                 one.history[...] = values[self._place[row[one.points]]]
 
     def take(self, operator: GradientOperator, materials: Sequence[MaterialAtPoints]) -> None:
-        """Remember the histories at the points of an operator."""
+        """Store the histories of the points of an operator."""
         parts = operator.parts
         point = np.arange(operator.n_points) if parts is None else parts.served_by.ravel()
         place = np.empty(operator.n_points, dtype=np.int64)
@@ -82,7 +82,7 @@ class KeptHistory:
                 values[...] = one.history[place[point[rows]]]
 
     def arrays(self, materials: Sequence[MaterialAtPoints]) -> dict[str, KeptArray]:
-        """Return the rows of the materials that have a history, by the number of the material."""
+        """Return the rows of the materials with history, by the number of the material."""
         return {
             f"history_{number}": KeptArray(self._owner[rows], values)
             for number, (one, rows, values) in enumerate(zip(materials, self._rows, self._values, strict=True))

@@ -1,4 +1,4 @@
-"""Forces along bonds of a body on a lattice whose families repeat."""
+"""Forces along bonds of a body on a lattice with shared families."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from pdpetsc.terms.bond_forces import BondForces
 
 
 class LatticeBonds(BondForces):
-    """``BondForces`` of one material without dilatation or damage, with one list of bonds for all that share a family.
+    """Compute ``BondForces`` of one material without dilatation or damage, with one list of bonds per shared family.
 
     Parameters
     ----------
     body : Body
-        Particles and bonds, which repeat.
+        Particles and bonds, with shared families.
     lattice : LatticeStencils
-        Which families repeat.
+        Shared families.
     irregular : BondForces
-        The term of ``lattice.irregular``.
+        Term of ``lattice.irregular``.
 
     Notes
     -----
@@ -57,7 +57,7 @@ class LatticeBonds(BondForces):
         ptr: GlobalIndex = own.indptr[own.n :] - first
         self._lattice, self._irregular = lattice, irregular
         self._patterns = ptr, steps.astype(np.int64), xi, np.linalg.norm(xi, axis=1), irregular.k[first:].copy()
-        # The forces of particles that stand for a pattern are those of its rows.
+        # The rows of a pattern contain the forces of its representative.
         irregular.constants = BondStiffness(np.where(np.arange(len(irregular.k)) < first, irregular.k, 0.0))
 
     @cached_property
@@ -78,7 +78,7 @@ class LatticeBonds(BondForces):
 
     @cached_property
     def _operator(self) -> GradientOperator:
-        """Return the gradient that fits the families best, zero in directions that they lack."""
+        """Return the least-squares gradient of the families, zero in directions that they do not span."""
         own = self._lattice.irregular
         families = Families(own.indptr, own.neighbours)
         stencils = whole_families(own.cloud, families, self._irregular.omega * own.cloud.volume[own.neighbours])
@@ -94,7 +94,7 @@ class LatticeBonds(BondForces):
         self.add_row_forces(self._lattice.whole, state.u_local, None, f)
 
     def add_row_forces(self, part: Part, u: Float, du: Float | None, f: Float) -> None:
-        """Add the forces of bonds that repeat at ``u``, or their change with ``du``, to ``f``, all (n_local, dim)."""
+        """Add the forces of shared families at ``u``, or their change with ``du``, to ``f``, all (n_local, dim)."""
         if not part.rows.count:
             return
         grid, forces, (ptr, steps, xi, length, k) = self._lattice.grid, self._lattice.forces_on_cells, self._patterns
@@ -105,13 +105,13 @@ class LatticeBonds(BondForces):
         add_from_cells(grid.cell, forces, f)
 
     def add_row_blocks(self, u: Float, blocks: Float) -> None:
-        """Add what couples each local particle to itself in bonds that repeat, at ``u`` (n_local, dim)."""
+        """Add the diagonal block of each local particle from shared families, at ``u`` (n_local, dim)."""
         part, grid = self._lattice.whole, self._lattice.grid
         kernel = rows_bond_blocks_kernel(self.body.dim, int(self.finite))
         kernel(*part.loop, grid.at, *self._patterns, grid.onto(u), blocks)
 
     def irregular_state(self, state: State) -> State:
-        """Return the state of the particles whose families do not repeat (collective the first time)."""
+        """Return the state of the particles with irregular families (collective on first use)."""
         u_local = state.u_local
         return state.kept(("irregular", id(self)), lambda: self._irregular_state(u_local))
 
@@ -120,7 +120,7 @@ class LatticeBonds(BondForces):
         return State(self._irregular.body, u[: self._lattice.irregular.cloud.n_owned], u_local=u)
 
     def admissible(self, state: State) -> bool:
-        """Return whether every bond on this rank has a length above zero."""
+        """Return True if every bond on this rank has a length above zero."""
         if not self.finite:
             return True
         part, (ptr, steps, xi, _, _) = self._lattice.whole, self._patterns
@@ -133,7 +133,7 @@ class LatticeBonds(BondForces):
         return [LatticeBondProduct(self, self._irregular, self._lattice, state)]
 
     def moduli(self, state: State) -> Float:
-        """Return the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
+        """Compute the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
         own, part = self._lattice.irregular, self._lattice.whole
         D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
         D[own.local[: own.n]] = self._irregular.product(self.irregular_state(state)).stiffness()[: own.n]
@@ -142,7 +142,7 @@ class LatticeBonds(BondForces):
         return D
 
     def _sums(self, state: State) -> tuple[Float, Float]:
-        """Return energy [energy] and ``sum_j t n (x) xi`` [energy] of the own particles (collective the first time)."""
+        """Compute energy [energy] and ``sum_j t n (x) xi`` [energy] of the own particles (collective on first use)."""
         u_local, irregular = state.u_local, self.irregular_state(state)
 
         def make() -> tuple[Float, Float]:
@@ -169,7 +169,7 @@ class LatticeBonds(BondForces):
         return np.asarray(self._sums(state)[1] / cloud.volume[: cloud.n_owned, None, None])
 
     def deformation_gradient(self, state: State) -> Float:
-        """Return the gradient that fits the family best (n_owned, dim, dim) [-], 1 in directions that it lacks."""
+        """Compute the least-squares gradient of the family (n_owned, dim, dim) [-], 1 in directions not spanned."""
         return np.asarray(np.eye(self.body.dim) + self._operator.gradient(state.u_local))
 
     def local_damage(self) -> Float:
@@ -178,18 +178,18 @@ class LatticeBonds(BondForces):
 
 
 class LatticeBondProduct(Product):
-    """The tangent of bonds that repeat.
+    """Apply the tangent of bonds with shared families.
 
     Parameters
     ----------
     term : LatticeBonds
         The bonds.
     irregular : BondForces
-        Those of the particles whose families do not repeat.
+        Term of the particles with irregular families.
     lattice : LatticeStencils
-        Which families repeat.
+        Shared families.
     state : State
-        Where it is taken.
+        State of the tangent.
     """
 
     def __init__(self, term: LatticeBonds, irregular: BondForces, lattice: LatticeStencils, state: State) -> None:
@@ -209,7 +209,7 @@ class LatticeBondProduct(Product):
         return self._term.moduli(self._state)
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of all bonds to the blocks of local particles (n_local, dim, dim)."""
+        """Add the contributions of all bonds to the blocks of local particles (n_local, dim, dim)."""
         self._lattice.irregular.add(blocks, self._irregular.add_point_blocks)
         self._term.add_row_blocks(self._u, blocks)
         return True

@@ -1,4 +1,4 @@
-"""Correspondence: materials at gradient points."""
+"""Term of correspondence materials at gradient points."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from pdpetsc.problem.term import KeptArray, Term
 
 
 class MaterialPoints(MaterialTerm):
-    """Internal forces ``f = G^T (W P)`` with the tangent ``K = G^T (W A) G``.
+    """Compute internal forces ``f = G^T (W P)`` with the tangent ``K = G^T (W A) G``.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
     operator : GradientOperator
-        Gradients, with the weights that forces have too.
+        Gradient operator, whose weights the forces also use.
     materials : sequence of Material
         Materials of the body.
     material_of : (n_owned,) int
         Index into ``materials`` of each own particle.
     factor : (n_owned,) float64, optional
-        What multiplies the moduli of each own particle [-].
+        Factor on the moduli of each own particle [-].
 
     Notes
     -----
@@ -68,12 +68,12 @@ class MaterialPoints(MaterialTerm):
                     MaterialAtPoints(material, points, body.dim, factors, body.cloud.x[of], body.expands, thermal)
                 )
         self._linear = all(material.linear for material in materials)
-        # Conditions of the points with the stress-free deformation and the operator that they were computed for.
+        # Conditions of the points, with the stress-free deformation and the operator for which they were computed.
         self._conditions: tuple[FreeDeformation, GradientOperator, list[Conditions]] | None = None
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether all materials are linear."""
+        """Return True if all materials are linear."""
         return self._linear and (self.body.expansion is None or not self.body.expansion.softens)
 
     def laws(self, state: State) -> PointLaws:
@@ -91,7 +91,7 @@ class MaterialPoints(MaterialTerm):
         return state.kept(("laws", id(self), id(operator)), lambda: (operator, make()))[1]
 
     def _conditions_at(self, expansion: FreeDeformation) -> list[Conditions]:
-        """Return stress-free deformation and laws of the points of each material, computed once for a temperature."""
+        """Return stress-free deformation and laws of the points of each material, cached for a temperature."""
         operator, last = self.operator, self._conditions
         if last is None or last[0] is not expansion or last[1] is not operator:
             of_particles, made = (expansion.strain, expansion.factor, expansion.temperature), []
@@ -105,12 +105,12 @@ class MaterialPoints(MaterialTerm):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return whether the tangents of all materials are symmetric."""
+        """Return True if the tangents of all materials are symmetric."""
         return all(at_points.material.symmetric for at_points in self.materials)
 
     @property
     def timed(self) -> bool:  # type: ignore[override]
-        """Return whether a material depends on time."""
+        """Return True if a material depends on time."""
         return any(at_points.material.timed for at_points in self.materials)
 
     @property
@@ -120,12 +120,12 @@ class MaterialPoints(MaterialTerm):
 
     @property
     def parts(self) -> list[str]:
-        """Return what it is made of."""
+        """Return the names of its parts."""
         return ["gradient operator", *(f"material {type(at_points.material).__name__}" for at_points in self.materials)]
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
-        """Return those of the operator."""
+        """Return the stencils of the operator."""
         return self.operator.point_ptr, self.operator.members
 
     def deformation(self, state: State) -> Float:
@@ -141,14 +141,14 @@ class MaterialPoints(MaterialTerm):
         return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
     def point_gradient(self, state: State) -> Float:
-        """Return F of the points (n_points, dim, dim) [-]; ``deformation`` is what materials see."""
+        """Return F of the points (n_points, dim, dim) [-]; materials use ``deformation``."""
         return self.deformation(state)
 
     def strained(self, state: State) -> tuple[Float, Float | None]:
-        """Return what is left of F without the stress-free deformation, and that deformation (n_points, dim, dim) [-].
+        """Return the elastic part of F, and the stress-free deformation (n_points, dim, dim) [-].
 
-        ``F F_theta^-1`` and ``F_theta``; None where a body does not expand. Points of linear materials have ``F - eps``
-        and 1.
+        These are ``F F_theta^-1`` and ``F_theta``, or None if the body does not expand. Points of linear materials have
+        ``F - eps`` and 1.
         """
         F = self.deformation(state)
         if state.expansion is None:
@@ -159,7 +159,7 @@ class MaterialPoints(MaterialTerm):
         return elastic, free
 
     def admissible(self, state: State) -> bool:
-        """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
+        """Return True if the materials of this rank are defined: ``det F > 0`` unless all are linear."""
         # Laws are collective on first use: compute them on every rank before one returns.
         F, laws = self.deformation(state), self.laws(state)
         if self._linear:
@@ -170,15 +170,15 @@ class MaterialPoints(MaterialTerm):
 
     @property
     def lost(self) -> Mask | None:
-        """Return which points have no gradient any more, and so no stress to be defined (n_points,); None for none."""
+        """Return the points without gradient, whose stress need not be defined (n_points,); None if there are none."""
         return None
 
     def stress(self, state: State) -> Float:
-        """Return ``P_p`` (n_points, dim, dim) [stress]."""
+        """Compute ``P_p`` (n_points, dim, dim) [stress]."""
         return self.laws(state).stress(self.deformation(state))
 
     def moduli_sets(self, state: State) -> Moduli:
-        """Return the moduli at a state, kept once for each material where they are the same at all its points."""
+        """Return the moduli at a state, stored once per material if they are equal at all its points."""
         F, laws = self.deformation(state), self.laws(state)
         present = [law for law in laws.materials if len(law.points)]
         tangents = [law.same_tangent(F) for law in present]
@@ -190,30 +190,30 @@ class MaterialPoints(MaterialTerm):
         return Moduli(np.array(tangents), of)
 
     def point_energy(self, state: State) -> Float:
-        """Return ``psi_p`` (n_points,) [energy / volume]."""
+        """Compute ``psi_p`` (n_points,) [energy / volume]."""
         return self.laws(state).energy(self.deformation(state))
 
     def conjugates(self, state: State) -> tuple[Float, Float, Float]:
-        """Return F, the stress that forces have (n_points, dim, dim) and the energy density (n_points,) of the points.
+        """Return F, the stress of the forces (n_points, dim, dim) and the energy density (n_points,) of the points.
 
         The stress is the derivative of the energy by F.
         """
         return self.point_gradient(state), self.stress(state), self.point_energy(state)
 
     def energy_by_strain(self, state: State) -> Float:
-        """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
+        """Compute the derivative of the energy density by the eigenstrain at constant F (n_points, 3, 3)."""
         return self.laws(state).energy_by_strain(self.deformation(state))
 
     def energy_by_temperature(self, state: State, temperature: Float, step: float) -> Float:
-        """Return the derivative of the energy density by the temperature of the law at constant F (n_points,).
+        """Compute the derivative of the energy density by the temperature of the law at constant F (n_points,).
 
-        Differences of ``step``; ``temperature`` is that of the local particles.
+        Central differences of ``step`` are used. ``temperature`` is that of the local particles.
         """
         F = self.deformation(state)
         return self.laws(state).energy_by_temperature(F, temperature[self.operator.owner], step)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
-        """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
+        """Compute the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
         return self.laws(state).energy(F)
 
     def add_force(self, state: State, f: Float) -> None:
@@ -234,9 +234,9 @@ class MaterialPoints(MaterialTerm):
         return [PointProduct(self.operator, self.moduli_sets(state))]
 
     def tangent_share(self, state: State) -> Float:
-        """Return what is left of the elastic modulus of the own particles (n_owned,) [-] (``control.tangent_share``).
+        """Return the remaining share of the elastic modulus of the own particles (n_owned,) [-].
 
-        Elastic materials have all of it (not collective).
+        See ``control.tangent_share``; 1 for elastic materials (not collective).
         """
         F = self.deformation(state)
         share = np.ones(len(F))
@@ -246,22 +246,22 @@ class MaterialPoints(MaterialTerm):
         return self._mean(share)
 
     def uniform_stress_force(self, P: Float) -> Float:
-        """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
+        """Compute ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
         f = np.zeros((self.body.cloud.n_local, self.body.dim))
         self._intact_operator.divergence(P[self._intact_operator.owner], f)
         return self.body.gather(f)
 
     @cached_property
     def _intact_operator(self) -> GradientOperator:
-        """Return the operator as it was when a load first asked: a dead load does not change when bonds break."""
+        """Return the operator at the first request of a load: a dead load does not change when bonds break."""
         return self.operator
 
     def energy(self, state: State) -> float:
-        """Return ``sum_p W_p psi_p``."""
+        """Compute ``sum_p W_p psi_p``."""
         return float(self.operator.volume @ self.point_energy(state))
 
     def commit(self, state: State) -> None:
-        """Let materials with history remember a converged state; a point that is lost keeps what it had."""
+        """Update the histories of materials at a converged state; lost points keep their history."""
         if not self.has_history:
             return
         lost = self.lost
@@ -274,20 +274,20 @@ class MaterialPoints(MaterialTerm):
                 at_points.history[gone] = history[gone]
 
     def plastic_growth(self, state: State) -> float:
-        """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
+        """Return the largest increase of the plastic strain on this rank if the step ends at a state [-]."""
         return self._most_growth(self.laws(state).plastic_growth(self.deformation(state)))
 
     def _most_growth(self, grown: Float) -> float:
-        """Return the largest of what plastic strain grows by (n_points,) [-] at points that are not lost."""
+        """Return the largest increase of the plastic strain (n_points,) [-] at points that are not lost."""
         return float((grown if self.lost is None else grown[~self.lost]).max(initial=0.0))
 
     @property
     def has_history(self) -> bool:
-        """Return whether stresses depend on converged steps; the same on all ranks."""
+        """Return True if stresses depend on converged steps; the same on all ranks."""
         return any(at_points.has_history for at_points in self.materials)
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return the histories of the materials that have one, by the number of the material."""
+        """Return the histories of the materials with history, by the number of the material."""
         owner = self.operator.owner
         return {
             f"history_{number}": KeptArray(owner[at_points.points], at_points.history)
@@ -328,7 +328,7 @@ class MaterialPoints(MaterialTerm):
         return self.mean_stress(self.laws(state).cauchy(self.deformation(state)))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
-        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
+        """Return stretch, P and Cauchy stress normal to a plane or line body (n_owned,)."""
         stretch, P, sigma = self.laws(state).out_of_plane(self.deformation(state))
         return self._mean(stretch), self.mean_stress(P), self.mean_stress(sigma)
 

@@ -1,4 +1,4 @@
-"""Correspondence whose gradient points share one dilatation in each patch of particles."""
+"""Correspondence with one dilatation for each patch of particles."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.terms.material_points import MaterialPoints
 
-# Moduli of one material whose quotient is larger, without others between them, are a jump apart.
+# Moduli of one material with a larger ratio, without intermediate values, are separated by a jump.
 JUMP = 1.5
-# What a softened patch resists its mean dilatation with, over twice the shear modulus.
+# Stiffness of a softened patch against its mean dilatation, over twice the shear modulus.
 SOFTER = 1.0
-# What it resists that with at least, as a share.
+# Smallest value of that stiffness, as a share.
 LEAST = 1e-12
 
 
 class Shared(NamedTuple):
-    """Gradient points at a state, with the dilatations of their patches.
+    """Store gradient points at a state, with the dilatations of their patches.
 
     Attributes
     ----------
     F, F_bar : (n_points, dim, dim) float64
-        Gradients of the points, and what the material sees [-].
+        Gradients of the points, and gradients for the material [-].
     missing : (n_points,) float64
         ``<theta> - theta`` [-].
     """
@@ -50,12 +50,12 @@ class Shared(NamedTuple):
 
 
 class Response(NamedTuple):
-    """What a material answers to shared dilatations.
+    """Store the response of a material to shared dilatations.
 
     Attributes
     ----------
     P_bar, P : (n_points, dim, dim) float64
-        Stress at ``F_bar``, and the stress that forces have [stress].
+        Stress at ``F_bar``, and stress of the forces [stress].
     lacking : (n_points,) float64
         ``<r> - r`` [stress].
     """
@@ -66,30 +66,32 @@ class Response(NamedTuple):
 
 
 class PatchPoints(MaterialPoints):
-    """Internal forces with one dilatation for each patch of particles (``gradient.mean_dilatation``).
+    """Compute internal forces with one dilatation for each patch of particles (``gradient.mean_dilatation``).
 
-    The dilatation is that of the elastic part: what a body expands by without stress is taken off first.
-    With ``b = <F^-T g>`` and ``s`` of the same kind, vectors on the particles of a patch, the tangent is that of points
-    which keep their mean dilatation, and ``W (s (x) b + b (x) s + k b (x) b)`` of every patch.
+    The dilatation is that of the elastic part, without the stress-free deformation.
+
+    With vectors ``b = <F^-T g>`` and ``s`` of the same kind on the particles of a patch, the tangent has two parts. The
+    first is that of points with fixed mean dilatation. The second is ``W (s (x) b + b (x) s + k b (x) b)`` of every
+    patch.
 
     Parameters
     ----------
     body, operator, materials, material_of, factor
         As for ``MaterialPoints``.
     patches : Patches
-        Which points share a dilatation.
+        Points that share a dilatation.
 
     Attributes
     ----------
     rest : (n_points,) float64
-        What the rest of the dilatation is resisted with, ``2 share mu`` [stress].
+        Stiffness against the rest of the dilatation, ``2 share mu`` [stress].
     weight : (n_points,) float64
         Share of each point in the volume of its patch [-].
 
     Raises
     ------
     CaseError
-        The body is a bar or in plane stress, on every rank.
+        The body is a bar or in plane stress; raised on every rank.
 
     Notes
     -----
@@ -127,7 +129,8 @@ class PatchPoints(MaterialPoints):
         """Set up the patches of the own particles (n_owned,)."""
         cloud, operator = self.body.cloud, self.operator
         n, own = cloud.n_owned, np.arange(cloud.n_owned)
-        # Work on families with ghosts is done after they arrive, before that on others ends: a patch is of the last.
+        # Families with ghosts are processed after the ghosts arrive, and before the last families without ghosts: a
+        # patch belongs to the last of its particles.
         late = self.body.families.with_any(np.arange(cloud.n_local) >= n)
         last = np.full(int(patch_of.max(initial=-1)) + 1, -1)
         np.maximum.at(last, patch_of, own + n * late)
@@ -144,7 +147,7 @@ class PatchPoints(MaterialPoints):
         kept, self._slot = np.unique(pairs, return_inverse=True)
         patch, member = np.divmod(kept, max(cloud.n_local, 1))
         ptr = np.searchsorted(patch, np.arange(len(order) + 1)).astype(np.int64)
-        # The owner is in front, without a vector of its own, as the centre of a point is.
+        # The owner comes first, with a zero vector, as the centre of a point does.
         self._front = ptr[:-1]
         members = np.insert(member, self._front, patch_owner).astype(np.int32)
         self._patches = StencilMembers(patch_owner, ptr + np.arange(len(ptr)), members)
@@ -157,7 +160,7 @@ class PatchPoints(MaterialPoints):
 
     @property
     def patches(self) -> StencilMembers:
-        """Return the particles of every patch with their families, its owner first and once more among the others."""
+        """Return the particles of every patch with their families. The owner is first, and again among the others."""
         return self._patches
 
     @property
@@ -166,20 +169,20 @@ class PatchPoints(MaterialPoints):
         return False
 
     def dependents(self, marked: Float) -> Mask:
-        """Return the own particles that share a patch with a marked local one (collective)."""
+        """Return the own particles that share a patch with a marked local particle (collective)."""
         return sharing_stencil(self.body.cloud, self._patches.point_ptr, self._patches.members, marked)
 
     def shared(self, state: State) -> Shared:
-        """Return the gradients at an admissible state, with the dilatations of patches."""
+        """Compute the gradients at an admissible state, with the dilatations of patches."""
         F = self.point_gradient(state)
         return state.kept(("shared", id(self.operator)), lambda: self._share(state, F, self.weight))
 
     def shared_at(self, state: State, F: Float, volume: Float) -> Shared:
-        """Return other gradients F with the dilatations of patches, of points with other volumes (n_points,)."""
+        """Compute gradients F with the dilatations of patches, for points with other volumes (n_points,)."""
         return self._share(state, F, volume / self._sum(volume)[self.patch_of_point])
 
     def _share(self, state: State, F: Float, weight: Float) -> Shared:
-        """Return gradients of all points with the elastic dilatations of patches, means by weights (n_points,)."""
+        """Compute gradients of all points with the elastic dilatations of patches, weighted per point (n_points,)."""
         dim = self.body.dim
         theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
         if state.expansion is not None:
@@ -192,7 +195,7 @@ class PatchPoints(MaterialPoints):
         return Shared(F, F_bar, missing)
 
     def response(self, state: State) -> Response:
-        """Return the stresses at an admissible state."""
+        """Compute the stresses at an admissible state."""
 
         def make() -> Response:
             return self.respond(state, self.laws(state).stress(self.shared(state).F_bar), self.rest)
@@ -200,7 +203,7 @@ class PatchPoints(MaterialPoints):
         return state.kept(("response", id(self.operator), self.version), make)
 
     def respond(self, state: State, P_bar: Float, rest: Float) -> Response:
-        """Return the stresses at a state for those at ``F_bar`` (n_points, dim, dim) and what resists the rest."""
+        """Compute the stresses at a state from those at ``F_bar`` (n_points, dim, dim) and the stiffness ``rest``."""
         F, F_bar, missing = self.shared(state)
         r = self.conjugate(F_bar, P_bar, rest * missing)
         lacking = self._sum(self.weight * r)[self.patch_of_point] - r
@@ -208,9 +211,9 @@ class PatchPoints(MaterialPoints):
         return Response(P_bar, scale[:, None, None] * P_bar + lacking[:, None, None] * by_F, lacking)
 
     def conjugate(self, F_bar: Float, P_bar: Float, rest: Float) -> Float:
-        """Return the derivative r of the energy density by ``<theta> - theta`` (n,) at constant F [stress].
+        """Compute the derivative r of the energy density by ``<theta> - theta`` (n,) at constant F [stress].
 
-        ``rest`` (n,) is that of what resists the rest of the dilatation.
+        ``rest`` (n,) is the contribution of the stiffness against the rest of the dilatation.
         """
         work = np.einsum("pii->p", P_bar) if self._linear else np.einsum("pij,pij->p", P_bar, F_bar)
         return np.asarray(work / self.body.dim + rest)
@@ -222,46 +225,46 @@ class PatchPoints(MaterialPoints):
         return np.exp(missing / self.body.dim), np.swapaxes(np.linalg.inv(F), 1, 2)
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_bar`` (n_points, dim, dim) [-], what materials see."""
+        """Return ``F_bar`` (n_points, dim, dim) [-], the gradient for materials."""
         return self.shared(state).F_bar
 
     def point_gradient(self, state: State) -> Float:
-        """Return F of the points (n_points, dim, dim) [-], not what materials see."""
+        """Return F of the points (n_points, dim, dim) [-]; materials use ``deformation``."""
         return super().deformation(state)
 
     def stress(self, state: State) -> Float:
-        """Return the stress that forces have (n_points, dim, dim) [stress]."""
+        """Return the stress of the forces (n_points, dim, dim) [stress]."""
         return self.response(state).P
 
     def point_energy(self, state: State) -> Float:
-        """Return ``psi_p + share mu (<theta> - theta_p)^2`` (n_points,) [energy / volume]."""
+        """Compute ``psi_p + share mu (<theta> - theta_p)^2`` (n_points,) [energy / volume]."""
         return np.asarray(super().point_energy(state) + 0.5 * self.rest * self.shared(state).missing ** 2)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
-        """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
+        """Compute the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
         shared = self.shared_at(state, F, volume)
         return np.asarray(self.laws(state).energy(shared.F_bar) + 0.5 * self.rest * shared.missing**2)
 
     def energy_by_strain(self, state: State) -> Float:
-        """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
+        """Compute the derivative of the energy density by the eigenstrain at constant F (n_points, 3, 3)."""
         assert state.expansion is not None
         S, one = super().energy_by_strain(state), np.eye(3)
         slope = one if self._linear else np.linalg.inv(one + state.expansion.strain[self.operator.owner])
         return np.asarray(S - self.response(state).lacking[:, None, None] * slope)
 
     def _free_dilatation(self, strain: Float) -> Float:
-        """Return the dilatation without stress (n_points,) [-] of strains (n_points, 3, 3)."""
+        """Compute the stress-free dilatation (n_points,) [-] of eigenstrains (n_points, 3, 3)."""
         return np.asarray(np.einsum("pii->p", strain) if self._linear else np.log(np.linalg.det(np.eye(3) + strain)))
 
     def admissible(self, state: State) -> bool:
-        """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
-        F, _ = self.point_gradient(state), self.laws(state)  # on every rank before one returns
+        """Return True if ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
+        F, _ = self.point_gradient(state), self.laws(state)  # collective: compute it on every rank
         if not self._linear and not determinant_kernel(self.body.dim)(F) > 0.0:
             return False
         return super().admissible(state)
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the tangent of points that keep their mean dilatation, and those of the patches."""
+        """Return the tangent of points with fixed mean dilatation, and those of the patches."""
         return self.products(state, self.response(state), self.laws(state).moduli(self.shared(state).F_bar), self.rest)
 
     def products(
@@ -270,7 +273,7 @@ class PatchPoints(MaterialPoints):
     ) -> list[Product]:  # fmt: skip
         """Return the tangent of a response whose stress at ``F_bar`` has moduli (n_points, dim, dim, dim, dim).
 
-        ``own`` are some points and what their stress has of moduli at their own gradient besides.
+        ``own`` are some points with additional moduli at their own gradient.
         """
         dim, linear = self.body.dim, self._linear
         F, _, missing = self.shared(state)
@@ -294,7 +297,7 @@ class PatchPoints(MaterialPoints):
         s_right = self.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
         s_left = self.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
         stiff = self._sum(w * k)
-        # Softened, a patch resists its mean dilatation as it resists shear.
+        # A softened patch resists its mean dilatation like shear.
         shear = SOFTER * self._sum(w * self.twice_shear)
         soft = np.clip(stiff, LEAST * shear, shear)
         s_left += np.repeat(soft, np.diff(self._patches.point_ptr))[:, None] * b
@@ -307,21 +310,21 @@ class PatchPoints(MaterialPoints):
         ]
 
     def cauchy_stress(self, state: State) -> Float:
-        """Return the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P where the body is linear."""
+        """Compute the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P if linear."""
         P, F = self.response(state).P, self.shared(state).F
         if self._linear:
             return self.mean_stress(P)
         return self.mean_stress(np.einsum("pik,pjk->pij", P, F) / np.linalg.det(F)[:, None, None])
 
     def vectors(self, weighted: Float) -> Float:
-        """Return ``sum_p w_p B_p g_pk`` on the entries of patches (n_entries, dim) for tensors ``w B`` of points."""
+        """Compute ``sum_p w_p B_p g_pk`` on the entries of patches (n_entries, dim) for tensors ``w B`` of points."""
         of = self._point_of_entry
         each = np.einsum("eim,em->ei", weighted[of], self.operator.g)
         sums = sum_by(self._slot, each, len(self._patches.members) - len(self._front))
         return np.asarray(np.insert(sums, self._front, 0.0, axis=0))
 
     def _sum(self, values: Float) -> Float:
-        """Return the sums over the points of patches (n_patches,)."""
+        """Sum over the points of patches (n_patches,)."""
         return np.asarray(np.bincount(self.patch_of_point, values, self._n_patches))
 
 
@@ -329,19 +332,19 @@ def material_points(
     scheme: Scheme, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
     factor: Float | None = None,
 ) -> MaterialPoints:  # fmt: skip
-    """Return the term of materials at the points of a scheme, which share dilatations where it says so (collective)."""
+    """Build the term of materials at the points of a scheme, with shared dilatations if declared (collective)."""
     if scheme.patches is None:
         return MaterialPoints(body, operator, materials, material_of, factor)
     return PatchPoints(body, operator, materials, material_of, factor, scheme.patches)
 
 
 def _apart(keys: GlobalIndex, factor: Float) -> GlobalIndex:
-    """Return numbers (n,) that differ between particles of the same keys (n, k) whose moduli are a jump apart.
+    """Return numbers (n,) that differ between particles with equal keys (n, k) whose moduli are separated by a jump.
 
     Parameters
     ----------
     factor : (n,) float64
-        What multiplies the moduli of each [-].
+        Factor on the moduli of each particle [-].
     """
     size = np.log(factor)
     order = np.lexsort([size, *keys.T])
@@ -354,12 +357,12 @@ def _apart(keys: GlobalIndex, factor: Float) -> GlobalIndex:
 
 
 def _pieces(families: Families, box: GlobalIndex) -> GlobalIndex:
-    """Return the patch of each own particle (n_owned,): particles of one box that bonds inside it hold together.
+    """Return the patch of each own particle (n_owned,): particles of one box that bonds inside the box connect.
 
     Parameters
     ----------
     families : Families
-        Bonds, without those that cracks cut.
+        Bonds, without those cut by cracks.
     box : (n_owned, any) int64
         Numbers of the box of each own particle, and of its material; a rank has all particles of its boxes.
     """

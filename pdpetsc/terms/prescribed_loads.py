@@ -1,4 +1,4 @@
-"""What all loads share whose forces depend on the step time alone."""
+"""Base class of loads whose forces depend only on the load parameter."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
-# The record has the resultant of a load at the first of these step times at which it is not zero.
+# The run record lists the resultant of a load at the first of these load parameters at which it is not zero.
 SHOWN = (1.0, 0.75, 0.5, 0.25)
 
 
 class PrescribedLoads(Term):
-    """External forces that depend on the step time alone, with a record of the resultant of each load.
+    """Provide external forces that depend only on the load parameter, with a record of each resultant.
 
     Parameters
     ----------
@@ -39,38 +39,38 @@ class PrescribedLoads(Term):
 
     @property
     def parts(self) -> list[str]:
-        """Return nothing: loads have a record of their own."""
+        """Return an empty list: loads have a separate record."""
         return []
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts."""
+        """Return name, load parameter and total force (dim,) [force] of every load, when it acts."""
         return self._resultants
 
     def add_row_force(self, state: State, r: Float) -> None:
-        """Subtract the forces at the step time of the state."""
+        """Subtract the forces at the load parameter of the state."""
         r -= self.forces(state.t)
 
     def linearise(self, state: State) -> list[Product]:
-        """Return nothing: they do not depend on the displacement."""
+        """Return an empty list: the loads do not depend on the displacement."""
         return []
 
     def forces(self, t: float) -> Float:
-        """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""
+        """Return the external forces at load parameter ``t`` (n_rows, dim) [force]; the array must not be changed."""
         if self._last is None or self._last[0] != t:
             self._last = t, self._evaluated(t)
         return self._last[1]
 
     @abstractmethod
     def _evaluated(self, t: float) -> Float:
-        """Return the external forces at step time ``t`` (n_rows, dim) [force] as a new array."""
+        """Compute the external forces at load parameter ``t`` (n_rows, dim) [force] in a new array."""
 
     def _changed(self) -> None:
-        """Forget forces that were evaluated before another load was taken in (not collective)."""
+        """Discard cached forces after a load was added (not collective)."""
         self._last = None
 
     def _note(self, name: str, forces: Callable[[float], Float]) -> None:
-        """Note the resultant of a new load on the particles, whose forces (n_rows, dim) at a step time are given."""
+        """Record the resultant of a new load, for a function that computes its forces (n_rows, dim)."""
         self._changed()
         comm, n = self.body.cloud.comm, self.body.cloud.n_owned
         try:

@@ -1,6 +1,6 @@
-"""The part of a tangent that comes from the derivative of the degradation factor of bonds by the displacement.
+"""Part of a tangent from the derivative of the degradation factors of bonds by the displacement.
 
-Each product is ``v (x) dT/du``: force of the intact bond, on both its ends, times the gradient of its degradation
+Each product is ``v (x) dphi/du``: force of the intact bond, on both its ends, times the gradient of its degradation
 factor.
 """
 
@@ -20,18 +20,18 @@ from pdpetsc.problem.state import State
 
 
 def softening_products(state: State, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Product]:
-    """Return what the derivative of the ``phi`` adds if elongations are those of the current length (collective).
+    """Build the derivative of ``phi`` in the tangent, for elongations of the current length (collective).
 
     Parameters
     ----------
     state : State
         The state.
     gradient : Gradient
-        Of the degradation factor.
+        Gradient of the degradation factors.
     v : (n_bonds, dim) float64
-        Force of every bond, intact, on its second end [force].
+        Force of every intact bond on its second end [force].
     opposite : callable
-        Returns what the other direction of every bond has of such forces (``OppositeBonds.of_vectors``).
+        Returns such forces of the opposite direction of every bond (``OppositeBonds.of_vectors``).
     """
     body, bonds, u_local = state.body, gradient.bonds, state.u_local
     centres, neighbours = body.families.centres[bonds], body.families.neighbours[bonds]
@@ -44,7 +44,7 @@ def softening_products(state: State, gradient: Gradient, v: Float, opposite: Cal
 
 
 def softening_nonlocal(body: Body, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Product]:
-    """Return what is left if the part of the own elongation is counted elsewhere; nothing for most criteria.
+    """Build the nonlocal part of the derivative only, without the own elongation; empty for most criteria.
 
     Arguments as for ``softening_products`` (collective).
     """
@@ -59,24 +59,24 @@ def softening_nonlocal(body: Body, gradient: Gradient, v: Float, opposite: Calla
 
 
 def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> Product:
-    """Return what bonds that lose force take from the dilatation that their family shares.
+    """Build the derivative of the dilatation of a family by the degradation factors of its softening bonds.
 
     Parameters
     ----------
     body : Body
-        Whose bonds they are.
+        The body.
     gradient : Gradient
-        Of the degradation factor of those that lose force.
+        Gradient of the degradation factors of softening bonds.
     q : (n_bonds, dim) float64
         Force of every bond on its second end for a dilatation of 1 [force].
     n : (n_bonds, dim) float64
         Directions of the bonds [-].
     s : (n,) float64
-        What those that lose force would add to the dilatation if they were intact [-].
+        Contribution of each softening bond to the dilatation if it were intact [-].
     """
     families, whole, bonds = body.families, body.with_centres, gradient.bonds
     centres, n_owned = families.centres, body.cloud.n_owned
-    # Entries of the families with their centres: the b-th bond is one further for each family before it.
+    # Entries of the families with their centres: the entry of bond b is shifted by one for each family before it.
     of_bond = np.arange(len(centres)) + centres + 1
     g = np.zeros((len(whole.members), body.dim))
     own = (s * gradient.along)[:, None] * n[bonds]
@@ -90,14 +90,14 @@ def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: 
         at = order[np.searchsorted(key[order], centre * body.cloud.n_local + gradient.nonlocal_part.particles)]
         np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.nonlocal_part.by)
     for ends in gradient.ends:
-        # What the other ends of the bonds see is beyond the family; their own stands for it.
+        # The other ends of the bonds depend on particles outside the family; the own end replaces them.
         sums = np.bincount(centres[bonds], s * ends.factor, n_owned)
         g += np.repeat(sums, np.diff(whole.point_ptr))[:, None] * ends.by
     return _of_families(body, bonds, q, g)
 
 
 def _of_ends(v: Float) -> Float:
-    """Return vectors of the second ends of bonds (n, dim) with their opposites on the first ends (2 n, dim)."""
+    """Return vectors of the second ends of bonds (n, dim), with opposite vectors on the first ends (2 n, dim)."""
     both = np.empty((len(v), 2, v.shape[1]))
     np.negative(v, out=both[:, 0])
     both[:, 1] = v
@@ -105,9 +105,9 @@ def _of_ends(v: Float) -> Float:
 
 
 def _of_particles(body: Body, bonds: GlobalIndex, v: Float, part: NonlocalPart) -> Product:
-    """Return the product of bonds whose degradation factor falls with the displacement of particles of a family.
+    """Build the product of bonds whose degradation factor depends on particles of a family.
 
-    Stencils begin with both ends, which have the forces, and go on with the particles that have the derivatives.
+    Stencils begin with both ends, which receive the forces, followed by the particles that have the derivatives.
     """
     centres = body.families.centres[bonds]
     ends = np.stack([centres, body.families.neighbours[bonds]], axis=1).ravel()
@@ -121,9 +121,9 @@ def _of_particles(body: Body, bonds: GlobalIndex, v: Float, part: NonlocalPart) 
 
 
 def _of_endpoint_mean(body: Body, bonds: GlobalIndex, v: Float, ends: EndpointMean) -> Product:
-    """Return the product of bonds whose degradation factor follows the mean of a number of each end.
+    """Build the product of bonds whose degradation factor depends on the mean of a value of both ends.
 
-    ``v`` (n, dim) is half the difference of what both directions of each, intact, put on its second end [force].
+    ``v`` (n, dim) is half the difference of the forces of both intact directions on the second end [force].
     """
     q = np.zeros((len(body.families.neighbours), body.dim))
     q[bonds] = ends.factor[:, None] * v
@@ -131,7 +131,7 @@ def _of_endpoint_mean(body: Body, bonds: GlobalIndex, v: Float, ends: EndpointMe
 
 
 def _of_families(body: Body, bonds: GlobalIndex, q: Float, g: Float) -> Product:
-    """Return forces q (n_bonds, dim) of bonds times one number of the family of each of the given ones.
+    """Build the product of forces q (n_bonds, dim) of bonds with one value of each family of the bonds.
 
     ``g`` (n_entries, dim) is its derivative by the displacement of the members of the family, its centre first.
     """

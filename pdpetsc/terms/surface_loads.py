@@ -17,27 +17,28 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
-# Facets look in the direction of a given normal where the cosine between the two is above this.
+# A facet faces the direction of a normal if the cosine of the angle between the two is above this.
 LOOKS = np.cos(np.pi / 4.0)
 # A facet belongs to a side of a box if the cosine between its normal and an axis is above this.
 ON_SIDE = 1.0 - 1e-9
 
-# Forces of some facets (n, dim) [force] at their centroids (n, dim), with their vector areas (n, dim), at a step time.
+# Forces of some facets (n, dim) [force] at their centroids (n, dim), with their vector areas (n, dim), at a load
+# parameter.
 _OfFacets: TypeAlias = Callable[[Float, Float, float], Float]
 
 
 @dataclass(frozen=True)
 class _OnFacets:
-    """A load on the facets ``where``."""
+    """Store a load on the facets ``where``."""
 
     where: GlobalIndex
     forces: _OfFacets
 
 
 class SurfaceLoads(PrescribedLoads):
-    """Tractions on facets, ``f_k = sum_f N_f(x_k) t_f |a_f|``, and pressures, ``t_f |a_f| = -p a_f``.
+    """Apply tractions on facets, ``f_k = sum_f N_f(x_k) t_f |a_f|``, and pressures, ``t_f |a_f| = -p a_f``.
 
-    Since ``N_f`` is linear-exact the forces have the resultant and the moment of the tractions at the centroids.
+    Since ``N_f`` is linear-exact, the forces have the resultant and the moment of the tractions at the centroids.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class SurfaceLoads(PrescribedLoads):
         self._add(_OnFacets(self._facets(condition, None, name), forces), name)
 
     def _facets(self, condition: Traction | SurfacePressure, normal: Float | None, name: str) -> GlobalIndex:
-        """Return the facets of a condition's region on this rank."""
+        """Return the facets in the region of a condition on this rank."""
         surface, cloud = self._surface, self.body.cloud
         mask = surface.select(cloud, condition.region, name)
         if normal is not None:
@@ -116,7 +117,7 @@ class SurfaceLoads(PrescribedLoads):
             )
 
     def _add(self, applied: _OnFacets, name: str) -> None:
-        """Take in a load and note its resultant."""
+        """Store a load and record its resultant."""
         self._applied.append(applied)
         self._note(name, lambda t: self._sum([applied], t))
 
@@ -124,7 +125,7 @@ class SurfaceLoads(PrescribedLoads):
         return self._sum(self._applied, t)
 
     def _sum(self, loads: list[_OnFacets], t: float) -> Float:
-        """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""
+        """Return the sum of loads at load parameter ``t`` (n_rows, dim) [force]."""
         cloud, surface = self.body.cloud, self._surface
         on_facets = np.zeros_like(surface.area)
         with agreed(cloud.comm):

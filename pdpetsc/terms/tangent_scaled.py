@@ -1,4 +1,4 @@
-"""The zero-energy control that follows a material that yields, as a term."""
+"""Tangent-scaled zero-energy control as a term."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from pdpetsc.terms.material_points import MaterialPoints
 
 
 class Families(NamedTuple):
-    """The families of a control at a state.
+    """Store the families of a control at a state.
 
     Attributes
     ----------
     e : (n_owned,) float64
-        Size of what the elastic control resists [energy^(1/2)].
+        Root of twice the energy of the elastic control [energy^(1/2)].
     forces : (n_entries, dim) float64
         Forces of the elastic control on the members of each family [force].
     secant : Control
-        The control with the stiffness that it has at the state, without the degradation factor that fades.
+        Control with the secant stiffness of the state, without the degradation factor.
     """
 
     e: Float
@@ -41,19 +41,19 @@ class Families(NamedTuple):
 
 
 class TangentScaledForces(ControlForces):
-    """Forces of a control that yields with the material of each particle (``control.tangent_scaled``).
+    """Compute forces of a control that yields with the material of each particle (``control.tangent_scaled``).
 
-    The tangent is ``sum_i (q/e)_i M_i + b_i m_i (x) m_i`` with the matrices ``M_i`` of the families of the elastic
-    control, their forces ``m_i = M_i u`` and the bend ``b_i`` of ``q(e)``.
+    The tangent is ``sum_i (q/e)_i M_i + b_i m_i (x) m_i``. ``M_i`` are the matrices of the families of the elastic
+    control, ``m_i = M_i u`` their forces, and ``b_i`` is the bend of ``q(e)``.
 
     Parameters
     ----------
     body, name, control, damage
-        As for ``ControlForces``; ``control`` is the elastic one.
+        As for ``ControlForces``; ``control`` is elastic.
     material_term : MaterialPoints
-        The material that it follows.
+        Material that scales the control.
     least : float
-        Share of its stiffness that it keeps at least [-].
+        Smallest remaining share of the stiffness [-].
 
     Notes
     -----
@@ -94,17 +94,17 @@ class TangentScaledForces(ControlForces):
         return {"yielding": KeptArray(np.arange(self.body.cloud.n_owned, dtype=np.int32), self._yielding.kept)}
 
     def at(self, state: State) -> Control:
-        """Return the control with the secant stiffness of its families, and the ``phi`` of the bonds, at a state."""
+        """Return the control with the secant stiffness of its families, and ``phi`` of the bonds, at a state."""
         secant, fading = self.families(state).secant, self._fading(state)
         return secant if fading is None else secant.faded(fading)
 
     def families(self, state: State) -> Families:
-        """Return the families at a state, computed once."""
+        """Return the families at a state, cached."""
 
         def make() -> Families:
             u, ptr, members = state.u_local, self._members.point_ptr, self._members.members
             forces = self.control.family_forces(u)
-            # Relative to the centre, so that what moves the family as a whole does not round.
+            # Displacements relative to the centre, so that a translation of the family causes no round-off.
             eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
             doubled = np.add.reduceat(np.einsum("ei,ei->e", forces, eta), ptr[:-1])
             e = np.sqrt(np.maximum(doubled, 0.0))
@@ -114,15 +114,15 @@ class TangentScaledForces(ControlForces):
         return state.kept(("families", self.version, changed, id(self.control)), make)
 
     def energy(self, state: State) -> float:
-        """Return the energy of the control, with what its yielding has lost."""
+        """Compute the energy of the control, including the loss by yielding."""
         e = self.families(state).e
         beyond_secant = self._yielding.energy(e) - 0.5 * self._yielding.secant(e) * e**2
         return super().energy(state) + float(beyond_secant.sum())
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the secant, what the degradation factor adds if it fades, and ``b_i h_i (x) m_i`` of the families.
+        """Return the secant, the derivative of the degradation factor if any, and ``b_i h_i (x) m_i`` of the families.
 
-        ``h_i`` are the forces ``m_i`` with the degradation factor that fades.
+        ``h_i`` are the forces ``m_i`` with the degradation factor.
         """
         families, fading = self.families(state), self._fading(state)
         m, bend = families.forces, self._yielding.bend(families.e)
@@ -131,7 +131,7 @@ class TangentScaledForces(ControlForces):
         return [self.at(state), *self._softening(state, families.secant), bending]
 
     def commit(self, state: State) -> None:
-        """Take the sizes at a state for good, and the slope ahead from the material as it was found there."""
+        """Accept the sizes at a state, and the next slope from the tangent of the material there."""
         self._yielding.commit(self.families(state).e, np.clip(self._share, self._least, 1.0))
         self.version += 1
 
@@ -144,9 +144,9 @@ class TangentScaledForces(ControlForces):
 
 
 class DegradedTangentScaled(TangentScaledForces):
-    """A control that yields with the material and loses its stiffness with the points of its particle.
+    """Compute forces of a control that yields with the material and is degraded with the points of its particle.
 
-    Its energy is ``sum_i share_i U_i(e_i)`` with the energies ``U_i`` of the families that yield, and ``share_i`` the
+    The energy is ``sum_i share_i U_i(e_i)``. ``U_i`` are the energies of the yielding families, and ``share_i`` is the
     mean degradation factor of the points of the particle.
 
     Parameters
@@ -154,9 +154,9 @@ class DegradedTangentScaled(TangentScaledForces):
     body, name, least
         As for ``TangentScaledForces``.
     families : YieldingFamilies
-        What drives the points.
+        Families that drive the points.
     points : DegradedPoints
-        The material that it follows, and what degrades it.
+        Material that scales and degrades the control.
     """
 
     def __init__(self, body: Body, name: str, families: YieldingFamilies, points: DegradedPoints, least: float) -> None:
@@ -170,7 +170,7 @@ class DegradedTangentScaled(TangentScaledForces):
         return state.kept(key, lambda: self.families(state).secant.scaled(self._points.share(state)))
 
     def energy(self, state: State) -> float:
-        """Return the energy of the control, with what its yielding has lost, that damage has left."""
+        """Compute the energy of the control, including the losses by yielding and damage."""
         return float(self._points.share(state) @ self._yielding.energy(self.families(state).e))
 
     def linearise(self, state: State) -> list[Product]:
@@ -184,7 +184,7 @@ class DegradedTangentScaled(TangentScaledForces):
 def degraded_control(
     declared: ZeroEnergyControl, body: Body, control: Control, points: Callable[[DrivingControl], DegradedPoints]
 ) -> tuple[DegradedPoints, ControlForces]:
-    """Return points that fail, made by a function of the control that drives them, and the term of that control."""
+    """Build the failing points from the control that drives them, and the term of that control."""
     name = type(declared).__name__
     if declared.least_share is None:
         term = points(control)
@@ -201,7 +201,7 @@ def control_forces(
     material_term: MaterialPoints,
     damage: Damage | None = None,
 ) -> ControlForces:
-    """Return the term of a built control: one that yields with the material where it is declared to (collective)."""
+    """Build the term of a control, tangent-scaled if declared (collective)."""
     name = type(declared).__name__
     if declared.least_share is None:
         return ControlForces(body, name, control, damage)

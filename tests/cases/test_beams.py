@@ -167,16 +167,13 @@ def test_elastica_has_the_tabulated_values():
 
 @pytest.mark.long
 def test_figures_are_drawn_on_two_ranks(tmp_path):
-    words = [str(ROOT / ".ci/mpirun"), "2", sys.executable, "runs/beams/figures.py", str(tmp_path), "17", "18"]
+    words = [str(ROOT / ".ci/mpirun"), "2", sys.executable, "runs/beams/figures.py", str(tmp_path), "18"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run(words, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)
     numbers = json.loads((tmp_path / "numbers.json").read_text())
-    # The G that the paper calls optimal, with a unit of length fitted to another of its tables, give the strip.
-    for name in ("1.015_G_0.002", "2.015_G_0.013", "3.015_G_0.031"):
-        assert abs(numbers[f"fig_17_horizon_{name}"]) < 0.007
+    # What the figures show is compared with the paper on one rank, by the rows of its tables.
     assert numbers["fig_18_G_0.008_inside"] < 0.1 * numbers["fig_18_G_0_inside"]
-    for figure in ("fig_17", "fig_18"):
-        assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
+    assert (tmp_path / "fig_18.png").stat().st_size > 10_000
 
 
 @pytest.mark.long

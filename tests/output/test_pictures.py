@@ -1,30 +1,28 @@
 """Pictures of runs: what is drawn where, to scale, with which words; films; solid bodies with and without PyVista."""
 
+import dataclasses
 import logging
 import shutil
 
 import numpy as np
 import pytest
+import scipy
 from PIL import Image
 
 import pdpetsc as pd
+from pdpetsc.command_line import plot as plot_command
 from pdpetsc.command_line.plot import plot
+from pdpetsc.declare.cells import SIMPLICES
 from pdpetsc.output import picture, scene
 from pdpetsc.output.crack import polydata
 from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
 from pdpetsc.output.reading import read_history, read_summary
-from pdpetsc.output.scene import (
-    LONGEST_FACE,
-    about,
-    broken_pairs,
-    faces_between,
-    frame_of,
-    lattice_steps,
-    limits_of,
-    scene_of,
-)
+from pdpetsc.output.scene import broken_pairs, deformed, frame_of, gradients, grid_of, limits_of, scene_of
+from pdpetsc.output.surface import read_cells
+from pdpetsc.post.point_location import Held
+from tests.commands import results
 
 GRADIENT = np.array([[0.1, -0.02], [0.03, 0.05]])
 
@@ -65,8 +63,10 @@ def solid(tmp_path_factory):
 def test_a_scene_has_the_places_the_gradients_and_the_words_of_its_step(plane):
     scene = scene_of(plane, "stress", "xx", 2.0, "bar", step=1)
     assert np.allclose(scene.y[:, :2], scene.x[:, :2] + 2.0 * 0.5 * scene.x[:, :2] @ GRADIENT.T, atol=1e-12)
-    assert np.allclose(scene.F, np.eye(2) + GRADIENT, atol=1e-9)
-    assert np.allclose(scene.steps, 0.5) and scene.horizon == pytest.approx(1.0075)
+    assert scene.horizon == pytest.approx(1.0075)
+    corners = pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5).cells()
+    carried = corners.points[corners.corners] @ (np.eye(2) + GRADIENT).T
+    assert np.allclose(scene.cells.points[scene.cells.corners], carried, atol=1e-9)
     force = read_history(plane)["force"][1]
     assert (
         scene.title
@@ -80,43 +80,160 @@ def test_a_crack_is_drawn_as_both_of_its_faces_where_they_have_moved_to(plane):
     cracks = scene_of(plane, "stress", "xx", 1.0, "bar").cracks
     assert cracks.shape == (8, 2, 2)  # four cells on either side
     back = np.linalg.solve(np.eye(2) + GRADIENT, cracks.reshape(-1, 2).T).T
-    # A face moves with the particle on its side, half a spacing away from it.
-    lower, upper = back[:8], back[8:]
-    shift = np.linalg.solve(np.eye(2) + GRADIENT, GRADIENT @ [0.0, 0.25])
-    assert np.allclose(np.ptp(lower[:, 0]), 2.0, atol=0.2)
-    assert np.allclose(sorted([lower[:, 1].mean(), upper[:, 1].mean()]), [1.5 - shift[1], 1.5 + shift[1]], atol=0.01)
+    assert np.allclose(back[:, 1], 1.5, atol=1e-9) and np.ptp(back[:, 0]) == pytest.approx(2.0)
 
 
-def test_bonds_that_broke_are_crack_faces_from_their_step_on():
-    x = np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
-    opening = np.where(x[:, 1:] > 1.5, [0.0, 1.0], 0.0)
-    across = np.array([[4 * i + 1, 4 * i + 2] for i in range(6)])
-    faces = faces_between(x, opening, across, [])
-    assert len(faces) == 12
-    assert np.allclose(np.unique(faces[..., 1]), [1.5, 2.5])
-    assert faces[..., 0].min() == pytest.approx(-0.5) and faces[..., 0].max() == pytest.approx(5.5)
-    # Bonds that are no neighbours have no face, and nothing broken no crack.
-    assert len(faces_between(x, opening, np.array([[0, 23]]), [])) == 0
-    assert len(faces_between(x, opening, np.empty((0, 2), dtype=np.int64), [])) == 0
-    # Neither side of a crack is fitted through it.
-    F, inside = about(x, opening, np.concatenate([across, across + np.array([0, 1]), across - np.array([1, 0])]), [])
-    assert not inside[np.unique(across)].any() and np.allclose(F[inside], np.eye(2))
+def area_of(cells):
+    """Return the area of plane cells (n,)."""
+    x = cells.points[cells.corners]
+    after = np.arange(1, len(x) + 1)
+    after[cells.offsets[1:] - 1] = cells.offsets[:-1]
+    return np.add.reduceat(0.5 * (x[:, 0] * x[after, 1] - x[:, 1] * x[after, 0]), cells.offsets[:-1])
 
 
-def test_lattices_are_told_from_other_clouds(rng):
-    x = np.stack(np.meshgrid(np.arange(8.0), 1.5 * np.arange(5.0), indexing="ij"), axis=-1).reshape(-1, 2)
-    assert np.allclose(lattice_steps(1e-9 * x), [1e-9, 1.5e-9])
-    hole = np.hypot(x[:, 0] - 3.5, x[:, 1] - 3.0) > 1.6
-    assert np.allclose(lattice_steps(x[hole]), [1.0, 1.5])
-    assert lattice_steps(x + rng.uniform(-0.2, 0.2, x.shape)) is None
+def outline_of(cells):
+    """Return the number of closed outlines of plane cells, and their length."""
+    free = cells.surface
+    ends = free.corners.reshape(-1, 2)
+    _, numbers = np.unique(ends, return_inverse=True)
+    pairs = numbers.reshape(-1, 2)
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), (pairs.max() + 1,) * 2)
+    length = np.linalg.norm(free.points[ends[:, 1]] - free.points[ends[:, 0]], axis=1).sum()
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[0], length
+
+
+def opened(shift=1.0):
+    """Return a lattice of 6 by 4 unit cells, its displacement, and the bonds across its middle."""
+    lattice = pd.Lattice((0.0, 0.0), (6.0, 4.0), 1.0)
+    x = lattice.chunk(0, 1).x
+    u = np.where(x[:, 1:] > 2.0, [0.0, shift], 0.0)
+    across = np.array([[4 * i + a, 4 * j + b] for i in range(6) for j in range(6) for a in (0, 1) for b in (2, 3)])
+    return lattice.cells(), x, u, across
+
+
+def test_a_crack_leaves_a_gap_between_cells():
+    cells, x, u, across = opened()
+    none = np.zeros(len(x), dtype=bool)
+    moved, faces = deformed(cells, x, u, Held(x, (), across), none)
+    assert np.allclose(area_of(moved), 1.0)
+    assert outline_of(moved) == (2, pytest.approx(2 * (6 + 2 + 6 + 2)))
+    assert len(faces) == 12 and np.allclose(np.unique(faces[..., 1]), [2.0, 3.0])
+    # Two particles that carry no stress do not hold together either; other cells stay joined.
+    loose, _ = deformed(cells, x, u, Held(x), abs(x[:, 1] - 2.0) < 1.0)
+    assert np.ptp(loose.points[:, 1]) == pytest.approx(5.0, abs=0.02) and area_of(loose).sum() == pytest.approx(
+        24.0, abs=0.5
+    )
+    whole, faces = deformed(cells, x, u, Held(x), none)
+    assert len(whole.points) == len(cells.points) and len(faces) == 0
+    assert area_of(whole).sum() == pytest.approx(30.0, abs=1.0)
+
+
+def test_a_crack_that_ends_in_the_body_keeps_one_outline():
+    cells, x, u, across = opened(0.5)
+    left = across[(x[across[:, 0], 0] < 3.0) & (x[across[:, 1], 0] < 3.0)]
+    moved, faces = deformed(cells, x, u * (x[:, :1] < 3.0), Held(x, (), left), np.zeros(len(x), dtype=bool))
+    assert len(faces) == 6 and outline_of(moved)[0] == 1
+    # Bonds between particles that are no neighbours have no face.
+    assert len(deformed(cells, x, u, Held(x, (), np.array([[0, 23]])), np.zeros(len(x), dtype=bool))[1]) == 0
+
+
+def test_neither_side_of_a_crack_is_fitted_through_it():
+    _, x, u, across = opened()
+    assert np.allclose(gradients(x, u, Held(x, (), across)), np.eye(2))
+    # A crack that is not recorded shows by a jump.
+    assert np.allclose(gradients(x, u, Held(x)), np.eye(2), atol=0.05)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    assert np.allclose(gradients(x, x @ (turn - np.eye(2)).T, Held(x)), turn)
+
+
+def test_cells_share_corners_in_large_deformation():
+    """A strip that is rolled up: no seams, and an area that is nearly that of the strip."""
+    lattice = pd.Lattice((0.0, 0.0), (20.0, 2.0), 0.5)
+    x, cells = lattice.chunk(0, 1).x, lattice.cells()
+    angle = x[:, 0] / 5.0
+    u = np.stack([(5.0 - x[:, 1]) * np.sin(angle), 5.0 - (5.0 - x[:, 1]) * np.cos(angle)], axis=1) - x
+    moved, _ = deformed(cells, x, u, Held(x), np.zeros(len(x), dtype=bool))
+    assert outline_of(moved)[0] == 1 and len(moved.points) == len(cells.points)
+    assert area_of(moved).sum() == pytest.approx(0.5 * (5.0**2 - 3.0**2) * 4.0, rel=0.02)
+
+
+def mesh_of(folder, kind):
+    """Return the path of a mesh of a 6 by 3 rectangle, or box with a depth of 1, and its size."""
+    meshio = pytest.importorskip("meshio")
+    if kind in ("triangle", "quad"):
+        x = np.stack(np.meshgrid(np.arange(7.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
+        inside = (x > 0.0).all(axis=1) & (x < [6.0, 3.0]).all(axis=1)
+        x[inside] += np.random.default_rng(1).uniform(-0.2, 0.2, (inside.sum(), 2))
+        low = np.array([4 * i + j for i in range(6) for j in range(3)])
+        quads = np.stack([low, low + 4, low + 5, low + 1], axis=1)
+        cells = quads if kind == "quad" else np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    else:
+        x = np.stack(np.meshgrid(*(np.arange(n + 1.0) for n in (6, 3, 1)), indexing="ij"), axis=-1).reshape(-1, 3)
+        low = np.array([8 * i + 2 * j for i in range(6) for j in range(3)])
+        cells = np.stack([low, low + 8, low + 10, low + 2, low + 1, low + 9, low + 11, low + 3], axis=1)
+        if kind == "tetra":
+            cells = np.concatenate([cells[:, list(simplex)] for simplex in SIMPLICES["hexahedron"]])
+    path = folder / f"{kind}.vtu"
+    meshio.Mesh(x, [(kind, cells)]).write(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind", ["lattice", "lattice nodes", "triangle", "quad", "triangle nodes", "quad nodes", "facets", "cloud"]
+)
+def test_plane_cells_fill_the_body(kind, tmp_path, rng):
+    """Their areas are the volumes of the particles; without a known outline nearly so."""
+    name, _, nodes = kind.partition(" ")
+    hole = pd.region.Sphere((3.0, 1.5), 0.8)
+    lattice = (pd.LatticeNodes if nodes else pd.Lattice)((0.0, 0.0), (6.0, 3.0), 0.25, cut=hole)
+    if name == "lattice":
+        particles = lattice
+    elif name in ("triangle", "quad"):
+        particles = (pd.MeshNodes if nodes else pd.Mesh)(mesh_of(tmp_path, name))
+    else:
+        box = pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.25)
+        x, sides = box.chunk(0, 1).x, box.surface()
+        x += rng.uniform(-0.06, 0.06, x.shape)
+        particles = pd.Arrays(x, 0.0625, facets=sides if name == "facets" else None)
+    cells = particles.cells().own
+    area, volume = area_of(cells), particles.chunk(0, 1).volume
+    total = np.bincount(cells.owner, np.abs(area), len(volume))
+    assert (area > 0.0).all() or (area < 0.0).all()
+    assert total.sum() == pytest.approx(volume.sum(), rel=0.03 if name == "cloud" else 1e-9)
+    if kind == "quad nodes":
+        assert np.allclose(total, volume, rtol=0.1)
+    elif name not in ("facets", "cloud"):
+        assert np.allclose(total, volume, rtol=1e-9)
+    holes, length = outline_of(cells)
+    assert holes == (2 if name == "lattice" else 1)
+    if name in ("facets", "triangle", "quad"):
+        assert length == pytest.approx(18.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["lattice", "lattice nodes", "tetra", "hexahedron", "tetra nodes", "hexahedron nodes"])
+def test_the_surface_of_a_solid_body_is_closed(kind, tmp_path):
+    name, _, nodes = kind.partition(" ")
+    if name == "lattice":
+        cells = (pd.LatticeNodes if nodes else pd.Lattice)((0.0,) * 3, (6.0, 3.0, 1.0), 0.5).cells().own
+    else:
+        cells = (pd.MeshNodes if nodes else pd.Mesh)(mesh_of(tmp_path, name)).cells().own
+    surface = cells.surface
+    x = [surface.points[part] for part in np.split(surface.corners, surface.offsets[1:-1])]
+    area = sum(np.linalg.norm(np.cross(y[2] - y[0], y[-1] - y[1] if len(y) == 4 else y[1] - y[0])) / 2 for y in x)
+    assert area == pytest.approx(2.0 * (18.0 + 6.0 + 3.0), rel=1e-9)
+    # Each edge belongs to two faces.
+    _, count = np.unique(
+        dataclasses.replace(surface, points=surface.points[:, :2]).faces.key, axis=0, return_counts=True
+    )
+    assert (count == 2).all()
 
 
 def test_a_picture_of_a_part_of_the_particles_says_so(plane, solid, monkeypatch):
     monkeypatch.setattr(scene, "MOST", 30)
     drawn = scene_of(plane, "stress", "xx", 1.0, "bar")
-    assert len(drawn.x) == 24 and len(drawn.cracks) == 0
+    assert len(drawn.x) == len(drawn.cells.count) == 24 and len(drawn.cracks) == 0
     assert drawn.title.endswith(" N, 1 particle in 3 shown, cracks not drawn")
-    assert scene_of(solid, "stress", "xx", 1.0, "bar").title.endswith(" MN, 1 particle in 7 shown")
+    assert scene_of(solid, "stress", "xx", 1.0, "bar").title.endswith(" MN, horizon 1.008 m, 1 particle in 7 shown")
 
 
 def test_round_off_does_not_fill_the_scale_of_colours():
@@ -124,6 +241,8 @@ def test_round_off_does_not_fill_the_scale_of_colours():
     assert low == pytest.approx(95.0) and high == pytest.approx(105.0)
     assert limits_of(np.array([np.nan, 1.0, 2.0])) == pytest.approx((1.005, 1.995))
     assert limits_of(np.full(3, np.nan)) == (0.0, 1.0)
+    assert limits_of(np.array([-5e-15, 0.5, 1.0] * 99)) == (0.0, 1.0)
+    assert limits_of(np.array([-3.0, -1.0, 2e-16] * 99)) == (-3.0, 0.0)
 
 
 def colours(path):
@@ -321,7 +440,8 @@ def test_a_crack_along_a_mirror_plane_breaks_no_bond_beside_it(tmp_path):
     assert len(drawn.cracks) == 0 and len(full.cracks) == 40
     above = np.flatnonzero(full.x[:, 1] > 0.0)
     assert np.allclose(full.x[above], drawn.x, atol=1e-12)
-    assert np.allclose(full.F[above], drawn.F, atol=1e-3) and np.array_equal(full.inside[above], drawn.inside)
+    corners, of_half = (part.cells.points[part.cells.corners].reshape(-1, 4, 2) for part in (full, drawn))
+    assert np.allclose(corners[above], of_half, atol=1e-3 * 0.05)
 
 
 def test_bonds_across_a_period_are_no_cracks_inside(tmp_path):
@@ -361,29 +481,31 @@ def test_particles_of_very_different_volume_are_drawn_as_large_as_they_are(dim, 
         fields=[pd.displacement],
     )
     pd.run(case, tmp_path)
-    scene = scene_of(tmp_path, "displacement", "x", 1.0, "graded")
-    # Next to a coarse particle a fine one may be no larger than what is beside it.
-    assert np.median(np.abs(scene.size / unit / volume ** (1.0 / dim) - 1.0)) < 1e-9
-    assert (scene.size**dim).sum() == pytest.approx(volume.sum() * unit**dim, rel=0.1)
+    cells = scene_of(tmp_path, "displacement", "x", 1.0, "graded").cells
+    if dim == 2:
+        assert area_of(cells).sum() == pytest.approx(volume.sum() * unit**2, rel=0.05)
+    else:
+        box = read_cells(tmp_path, None)
+        side = np.ptp(box.points.reshape(-1, 8, 3), axis=1)
+        assert np.allclose(side, unit * np.cbrt(volume)[:, None], rtol=0.5)
+        assert np.median(np.abs(side[:, 0] / unit / np.cbrt(volume) - 1.0)) < 1e-9
     draw_field(tmp_path, tmp_path / "p.png", "displacement", "x", 1.0, "graded")
     if dim == 2:
         shown = np.asarray(Image.open(tmp_path / "p.png").convert("RGB")).astype(int)
         drawn = (shown.max(axis=2) - shown.min(axis=2)) > 40
-        # The columns of the body, left of the scale of colours, are covered; discs leave gaps of a tenth.
+        # The columns of the body, left of the scale of colours, are covered without gaps.
         body = drawn[:, : int(0.8 * drawn.shape[1])]
         rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
         inside = body[rows[0] : rows[-1], columns[0] : columns[-1]]
-        assert inside.mean() > 0.85
+        assert inside.mean() > 0.95
 
 
 def test_a_crack_among_coarse_particles_of_a_graded_cloud_is_drawn():
-    """Its faces are longer than any among the fine ones, which are most."""
     x, volume = graded(2, finest=0.125)
-    assert LONGEST_FACE * np.median(volume) ** 0.5 < 0.5
-    line = [[[4.0, 6.0], [8.1, 6.0]]]
-    found = faces_between(x, np.zeros_like(x), np.empty((0, 2), dtype=np.int64), line)
-    length = np.linalg.norm(found[:, 1] - found[:, 0], axis=1).sum() / 2.0
-    assert length == pytest.approx(4.0, rel=0.3)
+    cells = pd.Arrays(x, volume).cells()
+    held = Held(x, [pd.Segment((4.0, 6.0), (8.1, 6.0))])
+    _, faces = deformed(cells, x, np.zeros_like(x), held, np.zeros(len(x), dtype=bool))
+    assert np.linalg.norm(faces[:, 1] - faces[:, 0], axis=1).sum() / 2.0 == pytest.approx(4.0, rel=0.3)
 
 
 def test_a_picture_of_the_displacement_needs_no_declared_field(tmp_path):
@@ -391,3 +513,88 @@ def test_a_picture_of_the_displacement_needs_no_declared_field(tmp_path):
     case = moved(particles, GRADIENT, steps=pd.Steps(1), fields=[], picture=pd.Picture(pd.displacement, "x"))
     assert pd.run(case, tmp_path).fields.names() == ["displacement"]
     assert (tmp_path / "picture.png").exists()
+
+
+def test_runs_of_earlier_versions_are_drawn_without_a_file_of_cells(plane, tmp_path):
+    shutil.copytree(plane, tmp_path / "old")
+    (tmp_path / "old" / "fields" / "cells.h5").unlink()
+    new, old = (scene_of(folder, "stress", "xx", 1.0, "bar") for folder in (plane, tmp_path / "old"))
+    assert np.allclose(new.cells.points[new.cells.corners], old.cells.points[old.cells.corners])
+    (tmp_path / "old" / "fields" / "cells.h5").write_bytes(b"\x89HDF nothing")
+    with pytest.raises(pd.CaseError, match=r"cells.h5: .*; run the case again, or remove the file"):
+        scene_of(tmp_path / "old", "stress", "xx", 1.0, "bar")
+
+
+def test_a_grid_for_pyvista_opens_along_cracks(plane, solid):
+    pytest.importorskip("pyvista")
+    grid = grid_of(plane, step=2)
+    assert grid.n_cells == 72 and grid["stress_xx"].shape == (72,)
+    assert grid.n_points == 13 * 7 + 4  # the corners of four cells are split, but for the tip
+    moved = grid.warp_by_vector("displacement")
+    assert np.allclose(moved.points[:, :2], grid.points[:, :2] @ (np.eye(2) + GRADIENT).T, atol=1e-6)
+    assert grid_of(solid).warp_by_vector("displacement").volume == pytest.approx(24.0 * 1.1 * 0.95)
+
+
+def test_plot_begins_with_the_picture_of_the_case(tmp_path, monkeypatch):
+    case = moved(
+        pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, steps=pd.Steps(1),
+        picture=pd.Picture(pd.displacement, "y", scale=3.0),
+    )  # fmt: skip
+    pd.run(case, tmp_path)
+    asked = []
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words))
+    for words in ({}, {"scale": "1"}, {"component": "x"}, {"field": "stress"}, {"field": "displacement"}):
+        plot(tmp_path, words)
+    shown = [words[:3] for words in asked]
+    assert shown == [
+        ("displacement", "y", 3.0), ("displacement", "y", 1.0), ("displacement", "x", 3.0), ("stress", "xx", 1.0),
+        ("displacement", "y", 3.0),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_film_is_an_mp4_if_ffmpeg_is_installed(there, plane, monkeypatch):
+    from matplotlib.animation import FFMpegWriter
+
+    monkeypatch.setattr(FFMpegWriter, "isAvailable", lambda: there)
+    made = []
+    monkeypatch.setattr(plot_command, "draw_field", lambda *words: None)
+    monkeypatch.setattr(plot_command, "draw_film", lambda folder, path, *words: made.append(path.name))
+    plot(plane, {}, animate=True)
+    plot(plane, {"format": "gif"}, animate=True)
+    assert made == ["deformed.mp4" if there else "deformed.gif", "deformed.gif"]
+    if not there:
+        monkeypatch.undo()
+        monkeypatch.setattr(FFMpegWriter, "isAvailable", lambda: False)
+        with pytest.raises(pd.CaseError, match="take format=gif"):
+            plot(plane, {"format": "mp4"}, animate=True)
+
+
+@pytest.mark.parametrize("kind", ["Mesh", "MeshNodes", "Lattice"])
+def test_cells_do_not_depend_on_the_number_of_ranks(kind, tmp_path):
+    particles = "pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5)" if kind == "Lattice" else f"pd.{kind}(mesh)"
+    mesh = mesh_of(tmp_path, "triangle")
+    (tmp_path / "case.py").write_text(RANKS.format(mesh=str(mesh), particles=particles))
+    for ranks in (1, 2):
+        results(tmp_path / "case.py", ranks=ranks, output=tmp_path / str(ranks))
+    one, two = (read_cells(tmp_path / name, None) for name in "12")
+    for name in ("points", "corners", "offsets", "particle"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+    assert (tmp_path / "1" / "fields.xdmf").read_text() == (tmp_path / "2" / "fields.xdmf").read_text()
+    first, second = (scene_of(tmp_path / name, "displacement", "x", 1.0, "a").cells for name in "12")
+    assert np.allclose(first.points[first.corners], second.points[second.corners], atol=1e-9)
+
+
+RANKS = """
+import pdpetsc as pd
+
+mesh = {mesh!r}
+
+
+def case():
+    return pd.Case(
+        particles={particles}, horizon=2.1, material=pd.BondBased(E=1000.0, plane="stress"), steps=pd.Steps(1),
+        conditions=[pd.Displacement(pd.region.All(), x=lambda x, t: 0.1 * t * x[:, 0], y=0.0)],
+        fields=[pd.displacement],
+    )
+"""

@@ -175,8 +175,10 @@ def test_a_new_case_runs_as_it_is(tmp_path):
     finished = called("new", "bar.py", cwd=tmp_path)
     assert finished.returncode == 0 and finished.stdout.strip() == "bar.py"
     assert called(tmp_path / "bar.py", "dx=0.5", "-o", tmp_path / "out").returncode == 0
-    force = pd.open(tmp_path / "out").history["force"][-1]
-    assert force == pytest.approx(200e3 * 0.01 * 4.0, rel=0.03)
+    history = pd.open(tmp_path / "out").history
+    assert history["force"][-1] == pytest.approx(-100.0 * 4.0)
+    # Hencky's stress of a bar that is free to contract, but for its clamped end.
+    assert history["u_end"][-1] == pytest.approx(100.0 / 200e3 * 20.0, rel=0.01)
     with pytest.raises(pd.CaseError, match="is there already"):
         new(tmp_path / "bar.py")
     with pytest.raises(pd.CaseError, match=r"ends in \.py"):
@@ -241,23 +243,23 @@ def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
 def test_words_that_are_nearly_right_are_named(tmp_path):
     assert "did you mean the command doctor?" in called("docter").stderr
     new(tmp_path / "bar.py")
-    finished = called(tmp_path / "bar.py", "strian=0.1", "-o", tmp_path / "out")
-    assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
+    finished = called(tmp_path / "bar.py", "stres=0.1", "-o", tmp_path / "out")
+    assert finished.returncode == 2 and "did you mean stress?" in finished.stderr
     said = called(tmp_path / "bar.py", "-h").stdout
-    assert "A bar that is pulled" in said and "strain=0.01  float" in said
+    assert "A bar that is clamped" in said and "stress=100.0  float" in said
 
 
 # Files that other programs open.
 
 
-def test_pyvista_opens_the_fields_with_time_steps_and_tensors_by_component(result):
+def test_pyvista_opens_the_cells_with_time_steps_and_tensors_by_component(result):
     pyvista = pytest.importorskip("pyvista")
     reader = pyvista.get_reader(result.folder / "fields.xdmf")
     assert list(reader.time_values) == [0.0, 0.5, 1.0]
     for step, t in enumerate(reader.time_values):
         reader.set_active_time_value(t)
         mesh = reader.read()
-        assert mesh.n_points == 72 and np.array_equal(mesh.points, result.x.astype(mesh.points.dtype))
+        assert mesh.n_cells == 72 and np.allclose(mesh.cell_centers().points, result.x)
         stress = result.field("stress", step)
         assert np.array_equal(mesh["stress"], stress.reshape(-1, 9))
         assert np.array_equal(mesh["displacement"], result.field("displacement", step))

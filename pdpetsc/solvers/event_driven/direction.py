@@ -1,4 +1,4 @@
-"""Where the equilibrium path goes when bonds fail: dense algebra on the changed bonds."""
+"""Direction of the equilibrium path after bonds fail: dense algebra on the changed bonds."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pdpetsc.errors import SolveError
 
 # A rate below this share of the largest one counts as zero.
 NONE = 1e-11
-# Combinations of failing and unloading bonds that are tried, per bond that can be either.
+# Number of tried combinations of failing and unloading bonds, per bond that can be either.
 TRIED = 4
 
 
 class Changed:
-    """Bonds whose stiffness is not that of the factored matrix, the same on every rank.
+    """Store the bonds whose stiffness differs from the factored matrix, identical on every rank.
 
     Attributes
     ----------
     n : int
-        How many there are.
+        Number of changed bonds.
     failing : list of int
-        Those that are losing force, in the order in which they began.
+        Bonds that are losing force, in the order of their onset.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -62,22 +62,22 @@ class Changed:
 
     @property
     def softness(self) -> Float:
-        """Return the change of elongation per change of force of failing bonds, not positive (n,) [length / force]."""
+        """Return the change of elongation per change of force of failing bonds, at most 0 (n,) [length / force]."""
         return self._columns[4, : self.n]
 
     @property
     def phi(self) -> Float:
-        """Return the present force over the elastic one (n,) [-]."""
+        """Return the ratio of current to elastic force (n,) [-]."""
         return self._columns[5, : self.n]
 
     @property
     def elongation(self) -> Float:
-        """Return the present elongations (n,) [length]."""
+        """Return the current elongations (n,) [length]."""
         return self._columns[6, : self.n]
 
     @property
     def reach(self) -> Float:
-        """Return the elongations at which they fail further (n,) [length]; ``r - 1`` of a law is ``-softness k``."""
+        """Return the elongations of further failure (n,) [length]; ``r - 1`` of a law is ``-softness k``."""
         return self.limit * reached(self.phi, 1.0 - self.softness * self.k)
 
     @property
@@ -86,12 +86,12 @@ class Changed:
         return self.phi * self.k * self.elongation
 
     def append(self, row: Float, E: float, k: float, limit: float, phi: float, softness: float) -> int:
-        """Take in a bond that still has its stiffness in the factored matrix; return its number.
+        """Append a bond with the stiffness of the factored matrix; return its number.
 
         Parameters
         ----------
         row : (n + 1,) float64
-            Its row of ``S``.
+            Row of the bond in ``S``.
         """
         m = self.n
         if m == len(self._S):
@@ -105,18 +105,18 @@ class Changed:
 
 @dataclass(frozen=True)
 class Direction:
-    """A direction of the path.
+    """Store a direction of the path.
 
     Attributes
     ----------
     rate : float
-        Rate of the step time along it [-].
+        Rate of the load parameter along it [-].
     p : (r,) float64
         Inelastic forces of the changed bonds [force].
     force, elongation : (r,) float64
         Rates of tension [force] and elongation [length] of the changed bonds.
     failing : list of int
-        Bonds that go on failing; others at their limit unload.
+        Bonds that continue to fail; other bonds at their limit unload.
     """
 
     rate: float
@@ -127,12 +127,12 @@ class Direction:
 
 
 def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
-    """Return the direction in which every bond at its limit either loses force or shortens.
+    """Find the direction in which every bond at its limit either loses force or shortens.
 
     Without failing bonds the load grows. Otherwise the bond that began to fail last loses force at a fixed rate, and
-    the load follows. Bonds whose mode, failing or unloading, contradicts the direction switch it: all at once,
-    beginning with all failing bonds failing on; then one by one, beginning with that bond alone and with all of them.
-    Where no direction is consistent another failing bond gets the fixed rate.
+    the load follows. Bonds whose mode, failing or unloading, contradicts the direction switch it. First all switch at
+    once, beginning with all failing bonds failing further. Then they switch one by one, beginning with the last bond
+    alone and with all of them. If no direction is consistent, another failing bond gets the fixed rate.
 
     Parameters
     ----------
@@ -164,16 +164,16 @@ def _complementary(
     bonds: Changed, others: list[int], out: set[int], pace: int,
     switch: Callable[[Changed, Direction, list[int], set[int]], set[int]],
 ) -> Direction | None:  # fmt: skip
-    """Switch bonds between failing and unloading until each does what its mode says; None where that goes in circles.
+    """Switch bonds between failing and unloading until each is in its mode; None if the search cycles.
 
     Parameters
     ----------
     others : list of int
-        Bonds at their limit besides the one that sets the pace.
+        Bonds at their limit besides the bond with the fixed rate.
     out : set of int
-        Those of them that unload at first.
+        Bonds of these that unload initially.
     switch : callable
-        Which of the bonds in a wrong mode change it next.
+        Returns the bonds in a wrong mode that switch next.
     """
     seen: set[frozenset[int]] = set()
     while frozenset(out) not in seen and len(seen) <= TRIED * (len(others) + 1):
@@ -192,7 +192,7 @@ def _all(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> s
 
 
 def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> set[int]:
-    """Return the bond that lengthens or gains force most for what it can take."""
+    """Return the bond with the largest elongation or gain of force relative to its limit."""
     excess = [
         found.elongation[m] / bonds.limit[m] if m in out else found.force[m] / (bonds.k[m] * bonds.limit[m])
         for m in wrong
@@ -201,7 +201,7 @@ def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) ->
 
 
 def _along(bonds: Changed, failing: list[int]) -> Direction:
-    """Return the direction in which ``failing`` lose force and all others keep their secant stiffness."""
+    """Compute the direction in which ``failing`` lose force and all others keep their secant stiffness."""
     change = bonds.phi * bonds.k - bonds.base
     change[failing] = 0.0
     elastic = np.flatnonzero(change)
@@ -229,7 +229,7 @@ def _along(bonds: Changed, failing: list[int]) -> Direction:
 
 
 def _solve(M: Float, g: Float) -> Float:
-    """Return the solution of a small system, the least one where it is singular."""
+    """Solve a small system; return the least-squares solution if it is singular."""
     try:
         return np.asarray(np.linalg.solve(M, g))
     except np.linalg.LinAlgError:

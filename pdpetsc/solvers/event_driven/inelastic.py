@@ -1,4 +1,4 @@
-"""The method of inelastic forces: a factored matrix serves a body of which some bonds have changed."""
+"""Method of inelastic forces: solves with a factored matrix for a body with a few changed bonds."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from pdpetsc.solvers.equilibrium import read_options
 from pdpetsc.solvers.event_driven.pairs import Key, Pairs
 from pdpetsc.solvers.unique import refuse_mechanism
 
-# A linear solve whose residual is above this share of its right-hand side has failed, whatever the solver says.
+# A linear solve has failed if its residual exceeds this share of its right-hand side.
 SOLVED = 1e-6
 
 
 class InelasticForces:
-    """Solves ``K u = rate f`` for K that differs from the factored ``K0`` by the stiffness of a few bonds.
+    """Solve ``K u = rate f`` for K that differs from the factored ``K0`` by the stiffness of a few bonds.
 
-    Bond ``b`` with direction vector ``b`` (elongation ``e = b . u``) has the inelastic force ``p``, what its tension
-    differs by from ``k0 e``: ``K0 u + sum_b p_b b_b = rate f``. With ``w_b = K0^-1 b_b`` and ``S_cb = b_c . w_b``,
-    which need one solve per changed bond, all elongations follow from ``p``.
+    Bond ``b`` with direction vector ``b`` (elongation ``e = b . u``) has the inelastic force ``p``, the difference of
+    its tension from ``k0 e``: ``K0 u + sum_b p_b b_b = rate f``. With ``w_b = K0^-1 b_b`` and ``S_cb = b_c . w_b``, all
+    elongations follow from ``p``. They need one solve per changed bond.
 
     Parameters
     ----------
     problem, assembler
-        What is solved, linear and with conditions proportional to the step time, and what fills its matrix.
+        Linear problem with conditions proportional to the load parameter, and the object that fills its matrix.
     pairs : Pairs or None
-        Its bonds where they can fail.
+        Bonds, if they can fail.
 
     Attributes
     ----------
     numbers : dict of Key to int
-        The changed bonds.
+        Numbers of the changed bonds.
     local : list of int
-        Number of each changed bond among the pairs of this rank, -1 where it is not here.
+        Number of each changed bond among the pairs of this rank, -1 if it is not on this rank.
     elastic : (n_rows, dim) float64
-        Displacement under the whole load with the factored stiffness [length].
+        Displacement under the full load with the factored stiffness [length].
 
     References
     ----------
@@ -57,7 +57,7 @@ class InelasticForces:
         self._body = problem.body
         self._pairs = pairs
         fixed = problem.supports.fixed
-        # What prescribed and tied unknowns are where the independent ones do not move.
+        # Prescribed and tied unknowns for zero independent ones.
         self._held = problem.supports.completed(np.zeros(fixed.shape), problem.supports.prescribed(1.0))
         self._external = problem.external_force(problem.state(np.zeros(fixed.shape), 1.0))
         self._scales = scales_of(problem.body, problem.material_term)
@@ -74,7 +74,7 @@ class InelasticForces:
         read_options(self.destroy, self.ksp)
 
     def factor(self) -> None:
-        """Factor the present stiffness; no bond differs from it then."""
+        """Factor the current stiffness, and clear the list of changed bonds."""
         zero = np.zeros(self._problem.supports.fixed.shape)
         self.matrix.update(self._problem.state(zero))
         self.numbers, self.local = {}, []
@@ -84,11 +84,11 @@ class InelasticForces:
             self._elongated = self._pairs.elongation(self._body.with_ghosts(self.elastic))
 
     def refuse_mechanism(self) -> None:
-        """Raise SolveError on all ranks if the factored stiffness leaves a mechanism."""
+        """Raise SolveError on all ranks if the factored stiffness has a mechanism."""
         refuse_mechanism(self._problem, self.matrix, self.ksp, self._scales.stiffness, 0.0)
 
     def add(self, key: Key) -> tuple[Float, float]:
-        """Take in a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the whole load."""
+        """Append a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the full load."""
         body, pairs = self._body, self._pairs
         assert pairs is not None
         pair = pairs.local(key)
@@ -115,7 +115,7 @@ class InelasticForces:
         return values[: r + 1], float(values[r + 1])
 
     def response(self, rate: float, p: Float) -> Float:
-        """Return ``u = rate u_elastic - sum_b p_b w_b`` (n_rows, dim) for inelastic forces p of the changed bonds."""
+        """Compute ``u = rate u_elastic - sum_b p_b w_b`` (n_rows, dim) for inelastic forces p of the changed bonds."""
         u = rate * self.elastic
         return u - (p @ self._w[: len(p)].reshape(len(p), -1)).reshape(u.shape) if len(p) else u
 
@@ -140,7 +140,7 @@ class InelasticForces:
         return u
 
     def _solved(self) -> bool:
-        """Return whether the last solution is one: a factor of a singular matrix gives numbers all the same."""
+        """Return True if the last solution is valid: a factor of a singular matrix also returns numbers."""
         size = self._b.norm()
         self.matrix.mat.mult(self._x, self._r)
         self._r.aypx(-1.0, self._b)

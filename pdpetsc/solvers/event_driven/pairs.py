@@ -1,4 +1,4 @@
-"""Bonds as pairs of particles: both directions of a bond together, on every rank that holds one of them."""
+"""Bonds as pairs of particles: both directions of a bond together, on every rank that holds either."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
 from pdpetsc.terms.bond_forces import BondForces
 
-# The same name of a bond on every rank: ids of both ends, and the place that the second is in relative to the first.
+# Name of a bond, identical on every rank: ids of both ends, and the relative place of the second end.
 Key: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Bonds that touch an own particle, in an order that no partition changes.
+    """Store the bonds of own particles, in an order that does not depend on the partition.
 
     Attributes
     ----------
     keys : (n, 3) int64
-        What names each bond on every rank.
+        Name of each bond, identical on every rank.
     bonds : (n, 2) int64
-        Its bonds from either end, one of them twice where the other is on another rank.
+        Bonds of the pair from either end; the same bond twice if the other end is on another rank.
     ends : (n, 2) int32
         Local particles of each pair.
     n : (n, dim) float64
-        Its direction, from the first end to the second.
+        Direction of the pair, from the first end to the second.
     k : (n,) float64
         Stiffness from both ends [force / length].
     limit : (n,) float64
-        Elongation at which each first fails [length].
+        Elongation of first failure [length].
     final : (n,) float64
-        Drive at which no force is left, 1 for a bond that snaps or does not fail [-].
+        Driving variable at zero force, 1 for a bond that snaps or does not fail [-].
     order : (n,) float64
-        Number by which equal bonds fail one after the other: it follows from the places of both ends in units of the
-        horizon, and not from the numbers of the particles [-].
+        Order in which equal bonds fail. It follows from the positions of both ends in units of the horizon, not from
+        the numbers of the particles [-].
     reported : (n,) bool
-        Whether this rank reports the pair to the others; exactly one does.
+        Whether this rank reports the pair to the others; exactly one rank does.
     """
 
     keys: GlobalIndex
@@ -56,20 +56,20 @@ class Pairs:
     reported: Mask
 
     def elongation(self, u_local: Float) -> Float:
-        """Return the elongation of every pair (n,) [length] for displacements with ghosts (n_local, dim)."""
+        """Compute the elongation of every pair (n,) [length] for displacements with ghosts (n_local, dim)."""
         e = np.empty(len(self.k))
         pair_elongation_kernel(u_local.shape[1])(self.ends, self.n, u_local, e)
         return e
 
     def local(self, key: Key) -> int:
-        """Return the number of a pair here, -1 where it is not."""
+        """Return the local number of a pair, -1 if it is not on this rank."""
         span = np.searchsorted(self.keys[:, 0], key[0]), np.searchsorted(self.keys[:, 0], key[0], side="right")
         found = np.flatnonzero((self.keys[span[0] : span[1], 1:] == key[1:]).all(axis=1))
         return int(span[0] + found[0]) if len(found) else -1
 
 
 def make_pairs(term: BondForces) -> Pairs:
-    """Return the pairs of a body whose bonds can fail (collective)."""
+    """Build the pairs of a body whose bonds can fail (collective)."""
     cloud, families = term.body.cloud, term.body.families
     if term.damage is None:
         raise CaseError("This body has no bonds that fail.")
@@ -80,7 +80,7 @@ def make_pairs(term: BondForces) -> Pairs:
     keys, first, of_bond = np.unique(of_bonds, axis=0, return_index=True, return_inverse=True)
     of_bond = of_bond.reshape(-1)
     k = np.bincount(of_bond, term.k, len(keys))
-    # The other direction of a bond that leaves the rank is held by the owner of the ghost.
+    # The owner of the ghost holds the other direction of a bond that leaves the rank.
     outward = np.flatnonzero(families.neighbours >= cloud.n_owned)
     firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
     owner = np.searchsorted(firsts, cloud.row[families.neighbours[outward]], side="right") - 1
@@ -109,15 +109,15 @@ def make_pairs(term: BondForces) -> Pairs:
 
 
 def _by_place(cloud: Cloud, ends: LocalIndex, xi: Float) -> Float:
-    """Return a number for every pair that is the same from both ends, and different for pairs in different places."""
-    # Along a line of irrational slope no two nodes of a lattice are at the same place.
+    """Compute a number for every pair that is equal from both ends and differs between positions."""
+    # On a line of irrational slope no two nodes of a lattice have the same projection.
     line = np.array([1.0, np.sqrt(2.0), np.sqrt(5.0)])[: cloud.dim] / cloud.horizon
     first, second = (cloud.places.at_home(cloud.place[end], cloud.x[end]) @ line for end in ends.T)
     return np.asarray(first + second + np.sqrt(3.0) * (first - second) ** 2 + np.abs(xi @ line))
 
 
 def rehearse_pairs(bonds: BondForces) -> None:
-    """Compile or load the loops that go from event to event (collective on the body's ranks)."""
+    """Compile or load the kernels between events (collective on the ranks of the body)."""
     pairs = make_pairs(bonds)
     e = pairs.elongation(np.zeros_like(bonds.body.cloud.x))
     able = np.ones(len(e), dtype=bool)

@@ -23,43 +23,44 @@ from pdpetsc.solvers.event_driven.pairs import Key, Pairs, make_pairs, rehearse_
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.terms.bond_forces import BondForces
 
-# Bonds this close to their limit fail at the same load, one after the other in the order of their places.
+# Bonds this close to their limit fail at the same load, one after the other, ordered by their positions.
 TIED = 1e-10
-# An event this much nearer than another, relatively, comes first.
+# An event comes first if it is closer than another by this relative distance.
 NEARER = 1e-12
-# Where the load has fallen to this share of its largest value the body carries nothing any more.
+# A load below this share of its largest value indicates a body without load capacity.
 UNLOADED = 1e-9
-# Changed bonds at which the matrix is factored anew: this times the root of the number of unknowns, within limits.
+# Number of changed bonds at which the matrix is refactored: this multiple of the root of the number of unknowns, within
+# limits.
 UPDATES = 2.0
 FEWEST, MOST = 32, 400
-# After this many events in a row in which nothing moves the path goes in circles.
+# After this number of consecutive events without motion the path is in a cycle.
 STANDSTILL = 1000
-# Events of which every one is printed, and how many there are to a line after these.
+# Number of events that are all printed, and the interval of printed events afterwards.
 FIRST_EVENTS, EVENTS_A_LINE = 10, 100
 
 
 class EventSolver(Solver):
-    """Follows the equilibrium of a body whose laws are piecewise linear, event by event.
+    """Follow the equilibrium of a body with piecewise linear laws, event by event.
 
     Between events the displacement moves along a straight line. A bond at its limit fails: its force ``q`` decreases
-    along its law, ``de = c dq`` with ``c = 0`` for a bond that snaps and ``c = -(r - 1) / k`` for one that softens to
-    ``r`` times its limit; the load moves up or down as equilibrium demands. If another bond reaches its limit
-    meanwhile, both fail on, or the first unloads along its secant, whichever is consistent: forces of failing bonds
-    decrease, unloading bonds shorten.
+    along its law, ``de = c dq``. ``c = 0`` for a bond that snaps; ``c = -(r - 1) / k`` for a bond that softens up to
+    ``r`` times its limit. The load increases or decreases as equilibrium requires. If another bond reaches its limit
+    meanwhile, either both continue to fail, or the first unloads along its secant. The consistent choice is used:
+    forces of failing bonds decrease, unloading bonds shorten.
 
     Parameters
     ----------
     problem, assembler
-        What is solved, and what fills its matrix.
+        The problem, and the object that fills its matrix.
     options : EventDriven
-        What the case declares.
+        Declared solver.
     stop : callable
-        Asked at every event, collectively; True ends the run (a signal arrived).
+        Called at every event, collectively; True ends the run (a signal arrived).
 
     Raises
     ------
     CaseError
-        Laws or conditions are not those of this solver; the message says why.
+        The solver does not support the laws or conditions; the message states the reason.
 
     References
     ----------
@@ -98,7 +99,7 @@ class EventSolver(Solver):
         return self.solver.matrix.bytes
 
     def description(self) -> str:
-        """Return the solver in a few words."""
+        """Return a short description of the solver."""
         ksp = self.solver.ksp
         return f"event-driven, ksp {ksp.getType()}, pc {ksp.getPC().getType()}, {self._updates} changes per factor"
 
@@ -108,18 +109,18 @@ class EventSolver(Solver):
 
     @classmethod
     def make(cls, setting: Setting) -> EventSolver:
-        """Return the solver of a setting (collective)."""
+        """Build the solver of a setting (collective)."""
         return cls(setting.problem, cast(Assembler, setting.assembler), setting.declared, setting.stop)
 
     @classmethod
     def rehearse(cls, problem: Problem) -> None:
-        """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
+        """Compile or load the kernels between events (collective on the ranks of the problem)."""
         if problem.bond_damage is not None and isinstance(problem.material_term, BondForces):
             rehearse_pairs(problem.material_term)
 
     @classmethod
     def refuse(cls, problem: Problem) -> None:
-        """Raise CaseError on all ranks where bonds fail that carry no forces themselves (not collective)."""
+        """Raise CaseError on all ranks if bonds fail that do not carry forces themselves (not collective)."""
         if problem.damage is not None and not isinstance(problem.material_term, BondForces):
             raise CaseError(
                 "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients "
@@ -127,7 +128,7 @@ class EventSolver(Solver):
             )
 
     def line(self, number: int, converged: Converged) -> str | None:
-        """Return what is printed of an event: of the first ones, every hundredth, and the end."""
+        """Return the printed line of an event: of the first ones, every hundredth, and the last."""
         reason = converged.result.reason
         if number > FIRST_EVENTS and number % EVENTS_A_LINE and reason.startswith("bond"):
             return None
@@ -136,14 +137,14 @@ class EventSolver(Solver):
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the state at every event, from the unloaded body to the end of the load (collective).
 
-        The path begins at the unloaded body, whatever ``start`` is, and ``on_failure`` is never called.
+        The path begins at the unloaded body, for any ``start``, and ``on_failure`` is never called.
 
         Raises
         ------
         SolveError
-            No direction of the path was found, or there are too many events; what was yielded before stands.
+            No direction of the path was found, or there are too many events. The states yielded before are valid.
         Interrupted
-            A signal asked to stop.
+            A signal requested a stop.
         """
         problem = self._problem
         u, t, highest, still = np.zeros((problem.body.cloud.n_rows, problem.dim)), 0.0, 0.0, 0
@@ -154,7 +155,7 @@ class EventSolver(Solver):
                 raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
             if len(self.solver.local) >= self._updates and not self._changed.failing:
                 self._factor()
-                # All forces are secant forces under a proportional load: this is the same state without the round-off.
+                # All forces are secant forces under a proportional load: this is the same state without round-off.
                 u = t * self.solver.elastic
                 self._e = self._elongation(u)
             ahead = self._ahead(t)
@@ -186,13 +187,13 @@ class EventSolver(Solver):
         self._keys: list[Key] = []
 
     def _elongation(self, u: Float) -> Float:
-        """Return the elongation of every pair here (n_pairs,) [length] (collective)."""
+        """Compute the elongation of every pair of this rank (n_pairs,) [length] (collective)."""
         if self._pairs is None:
             return np.empty(0)
         return self._pairs.elongation(self._problem.body.with_ghosts(u))
 
     def _ahead(self, t: float) -> Direction:
-        """Return the direction of the path; bonds that it leaves out no longer fail."""
+        """Find the direction of the path; bonds outside it stop failing."""
         bonds = self._changed
         waiting = []
         if bonds.failing:
@@ -209,7 +210,7 @@ class EventSolver(Solver):
         return ahead
 
     def _next(self, de: Float, ahead: Direction, t: float) -> tuple[float, _Candidate | None, int | None]:
-        """Return the step to the next event, the bond that then begins to fail and the one that then is broken."""
+        """Return the step to the next event, the bond that then begins to fail, and the bond that then breaks."""
         end = (1.0 - t) / ahead.rate if ahead.rate > 0.0 else np.inf
         force = self._changed.force
         breaks = min(ahead.failing, key=lambda m: -force[m] / ahead.force[m], default=None)
@@ -224,7 +225,7 @@ class EventSolver(Solver):
         return float(step), None, None if step == end else breaks
 
     def _candidate(self, de: Float, step: float) -> _Candidate:
-        """Return the first, by its place, of the bonds that reach their limit after a step."""
+        """Return the first bond, ordered by position, that reaches its limit after a step."""
         pairs = self._pairs
         assert pairs is not None
         found = int(first_of_tied(self._e, de, self._reach, self._able, step, TIED, pairs.order))
@@ -239,7 +240,7 @@ class EventSolver(Solver):
         return first
 
     def _move(self, ahead: Direction, step: float) -> None:
-        """Take the changed bonds along the direction."""
+        """Move the changed bonds along the direction."""
         bonds = self._changed
         force = bonds.force[ahead.failing] + step * ahead.force[ahead.failing]
         bonds.elongation[:] += step * ahead.elongation
@@ -248,7 +249,7 @@ class EventSolver(Solver):
             self._mark(m)
 
     def _begin(self, found: _Candidate) -> str:
-        """Let a bond fail."""
+        """Start the failure of a bond."""
         bonds = self._changed
         m = self.solver.numbers.get(found.key, -1)
         if m < 0:
@@ -269,7 +270,7 @@ class EventSolver(Solver):
         return f"bond {self._keys[m][0]}-{self._keys[m][1]} is broken"
 
     def _mark(self, m: int) -> None:
-        """Note the state of a changed bond among the pairs here."""
+        """Store the state of a changed bond among the pairs of this rank."""
         here = self.solver.local[m]
         if here < 0:
             return
@@ -280,7 +281,7 @@ class EventSolver(Solver):
         self._able[here] = bonds.phi[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
-        """Give the body the present degradation factor of the bonds that have changed."""
+        """Write the degradation factors of the changed bonds to the body."""
         if self._pairs is not None:
             damage = self._problem.bond_damage
             assert damage is not None
@@ -294,7 +295,7 @@ class EventSolver(Solver):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A bond at its limit: ``reach`` is the present limit of its elongation, ``order`` that of ``Pairs``."""
+    """Store a bond at its limit: ``reach`` is the current limit of its elongation, ``order`` that of ``Pairs``."""
 
     key: Key
     k: float

@@ -1,1 +1,1 @@
-"""Path following: the load factor is an unknown, the growth of a measure is prescribed."""
+"""Path following: the load factor is an unknown, and the growth of a measure is prescribed."""

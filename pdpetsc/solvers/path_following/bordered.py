@@ -11,7 +11,7 @@ from pdpetsc.petsc.tangent import PetscTangent
 
 
 class Bordered:
-    """The matrix ``[K b; c d]`` whose last unknown lives on the last rank, solved with two solves of ``K``.
+    """Solve ``[K b; c d]``, whose last unknown is on the last rank, with two solves of ``K``.
 
     ``K y1 = r``, ``K y2 = b``; then ``z = (s - c . y1) / (d - c . y2)`` and ``y = y1 - z y2``.
 
@@ -23,11 +23,11 @@ class Bordered:
     Attributes
     ----------
     mat : Mat
-        The whole matrix, of type python.
+        The bordered matrix, of type python.
     ksp : KSP
         Solver of the tangent, with the options of the command line.
     iterations : int
-        Krylov iterations so far; the caller sets it back to 0.
+        Krylov iterations so far; the caller resets the number.
 
     Notes
     -----
@@ -52,20 +52,20 @@ class Bordered:
         self.iterations = 0
 
     def renew(self) -> None:
-        """Take the new matrix of the preconditioner."""
+        """Bind the new matrix of the preconditioner."""
         self.ksp.setOperators(self._K, self._tangent.preconditioner)
         self.equip()
 
     def equip(self) -> None:
-        """Give the solver of the tangent, whose options are set, what options alone do not."""
+        """Set properties of the solver of the tangent that options cannot set; its options must be set before."""
         self._tangent.equip(self.ksp)
 
     def vector(self) -> PETSc.Vec:
-        """Return a vector of the whole system."""
+        """Create a vector of the bordered system."""
         return self.mat.createVecRight()
 
     def put(self, x: PETSc.Vec, values: Float, last: float) -> None:
-        """Set a vector of the whole system (not collective)."""
+        """Set a vector of the bordered system (not collective)."""
         x.array[: self._n] = values.ravel()
         if self._comm.rank == self._last:
             x.array[self._n] = last
@@ -77,11 +77,11 @@ class Bordered:
         return values[: self._n], float(self._comm.bcast(last, root=self._last))
 
     def border(self, b: Float, c: Float, d: float) -> None:
-        """Set column, row and corner; the tangent has changed too (not collective)."""
+        """Set column, row and corner, after a change of the tangent (not collective)."""
         self._b.array, self._c.array, self._d = b.ravel(), c.ravel(), d
 
     def solve_in(self, outer: PETSc.KSP) -> None:
-        """Let this solve the linear systems of SNES, whose own linear solver gets the options prefix ``bordered_``."""
+        """Register as linear solver of SNES, whose own KSP has the options prefix ``bordered_``."""
         outer.setOptionsPrefix("bordered_")
         outer.setType("preonly")
         pc = outer.getPC()
@@ -89,7 +89,7 @@ class Bordered:
         pc.setPythonContext(self)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply; PETSc calls it."""
+        """Compute the product; called by PETSc."""
         values, last = self.split(x)
         self._r.array = values
         self._K.mult(self._r, self._y1)
@@ -97,7 +97,7 @@ class Bordered:
         self.put(y, self._y1.array_r, self._c.dot(self._r) + self._d * last)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve; PETSc calls it. A system without solution gives numbers that are not finite."""
+        """Solve the system; called by PETSc. The result is not finite if the system has no solution."""
         values, last = self.split(x)
         self._r.array = values
         if set_up_failed(self.ksp):
@@ -114,7 +114,7 @@ class Bordered:
         self.put(y, self._y1.array_r, z)
 
     def free(self) -> None:
-        """Free the PETSc objects, but for the tangent."""
+        """Free the PETSc objects except the tangent."""
         for vec in (self._r, self._y1, self._y2, self._b, self._c):
             vec.destroy()
         self.mat.destroy()

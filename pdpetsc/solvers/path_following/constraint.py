@@ -10,7 +10,7 @@ from pdpetsc.discrete.communicator import Comm, total
 
 @dataclass(frozen=True)
 class Constraint:
-    """``of . (u - u0) + share (load - load0)`` grows by a given amount.
+    """Prescribe the growth of ``of . (u - u0) + share (load - load0)``.
 
     Attributes
     ----------
@@ -19,7 +19,7 @@ class Constraint:
     share : float
         Weight of the load factor.
     u0, load0
-        Unknowns [length] and load factor [-] where the step begins.
+        Unknowns [length] and load factor [-] at the start of the step.
     """
 
     of: Float
@@ -28,5 +28,5 @@ class Constraint:
     load0: float
 
     def grown(self, comm: Comm, u: Float, load: float) -> float:
-        """Return by how much it has grown (collective)."""
+        """Compute the growth (collective)."""
         return float(total(comm, float((self.of * (u - self.u0)).sum()))) + self.share * (load - self.load0)

@@ -1,4 +1,4 @@
-"""Measures of a path: how far each has grown, and the constraint of the next step."""
+"""Measures of a path: their current values, and the constraint of the next step."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.path_following.constraint import Constraint
 
-# Bonds whose drive is within this of the largest share the measure, relatively.
+# The measure averages the bonds whose driving variable is within this relative distance of the largest.
 BAND = 0.05
 
 
 class Measure(ABC):
-    """A measure of a path, which grows from step to step.
+    """Define a measure of a path, which grows from step to step.
 
     Attributes
     ----------
     holds_while_bonds_break : bool
-        Whether it stays the same quantity when bonds break, so that equilibrium with fewer bonds is sought at the value
+        Whether the measure keeps its meaning when bonds break. Equilibrium with fewer bonds is then sought at the value
         reached.
 
     Notes
@@ -38,27 +38,27 @@ class Measure(ABC):
 
     @abstractmethod
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the constraint of a step from unknowns ``u``, and whether it can only prescribe the load factor."""
+        """Return the constraint of a step from unknowns ``u``, and True if it can only prescribe the load factor."""
 
     @abstractmethod
     def reached(self, u: Float, load: float) -> float:
-        """Return how far it has grown at unknowns ``u``."""
+        """Return the value at unknowns ``u``."""
 
     @abstractmethod
     def left(self, u: Float) -> float:
-        """Return by how much it may still grow."""
+        """Return the remaining growth."""
 
     def overshot(self, u: Float, load: float) -> bool:
-        """Return True if it grew too far in a step that could only prescribe the load factor."""
+        """Return True if the measure grew too far in a step that could only prescribe the load factor."""
         return False
 
     @abstractmethod
     def at_end(self, u: Float) -> bool:
-        """Return whether it has grown as far as the case asks."""
+        """Return True if the measure has reached its declared end."""
 
 
 class StretchMeasure(Measure):
-    """The largest drive of the bonds that have not failed; of a critical stretch, the stretch over it.
+    """Compute the largest driving variable of unfailed bonds; for a critical stretch, stretch over critical stretch.
 
     Raises
     ------
@@ -81,17 +81,17 @@ class StretchMeasure(Measure):
             )
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the mean drive of the bonds that are driven most, or the load factor where none is driven yet."""
+        """Return the mean driving variable of the most driven bonds, or the load factor if no bond is driven yet."""
         of, largest = self._damage.most_driven(self._problem.state(u, load), BAND)
         by_load = largest <= 0.0
         return Constraint(of, float(by_load), u, load), by_load
 
     def reached(self, u: Float, load: float) -> float:
-        """Return the largest drive [-]."""
+        """Return the largest driving variable [-]."""
         return self._damage.most_driven(self._problem.state(u, load), BAND)[1]
 
     def left(self, u: Float) -> float:
-        """Return infinity: the path ends where the forces have fallen."""
+        """Return infinity: the path ends when the forces have decreased."""
         return math.inf
 
     def at_end(self, u: Float) -> bool:
@@ -100,7 +100,7 @@ class StretchMeasure(Measure):
 
 
 class OpeningMeasure(Measure):
-    """The mean displacement of one region against that of another."""
+    """Compute the mean displacement of one region relative to another."""
 
     holds_while_bonds_break = True
 
@@ -126,11 +126,11 @@ class OpeningMeasure(Measure):
         return self._opened(u)
 
     def left(self, u: Float) -> float:
-        """Return the opening that is left to the end [length]."""
+        """Return the remaining opening [length]."""
         return self._end - self._opened(u)
 
     def at_end(self, u: Float) -> bool:
-        """Return whether the end is reached, up to round-off."""
+        """Return True if the end is reached, up to round-off."""
         return self._opened(u) >= self._end * (1.0 - 1e-9)
 
     def _opened(self, u: Float) -> float:
@@ -138,9 +138,9 @@ class OpeningMeasure(Measure):
 
 
 class DissipationMeasure(Measure):
-    """The energy that gradient points have dissipated.
+    """Compute the energy dissipated at gradient points.
 
-    A step prescribes its growth to first order, by its gradient where points fail at the equilibrium before.
+    A step prescribes its growth to first order, by the gradient over the points that fail at the last equilibrium.
 
     Raises
     ------
@@ -157,7 +157,7 @@ class DissipationMeasure(Measure):
         self._problem, self._damage, self._step, self._before = problem, damage, declared.step, 0.0
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the growth of the dissipated energy, or the load factor where nothing fails yet."""
+        """Return the growth of the dissipated energy, or the load factor if no point fails yet."""
         self._before = self.reached(u, load)
         with self._damage.loading():
             of = self._damage.dissipation_gradient(self._problem.state(u, load))
@@ -171,11 +171,11 @@ class DissipationMeasure(Measure):
         return 0.0 if dissipated is None else dissipated
 
     def overshot(self, u: Float, load: float) -> bool:
-        """Return True if the step dissipated more than its energy."""
+        """Return True if the step dissipated more than its declared energy."""
         return self.reached(u, load) - self._before > self._step
 
     def left(self, u: Float) -> float:
-        """Return infinity: the path ends where the forces have fallen."""
+        """Return infinity: the path ends when the forces have decreased."""
         return math.inf
 
     def at_end(self, u: Float) -> bool:
@@ -183,7 +183,7 @@ class DissipationMeasure(Measure):
         return False
 
 
-# The class that computes each measure that a case can declare.
+# Class of each declared measure.
 MEASURES: dict[type, Callable[..., Measure]] = {
     BondStretch: StretchMeasure,
     Opening: OpeningMeasure,
@@ -192,5 +192,5 @@ MEASURES: dict[type, Callable[..., Measure]] = {
 
 
 def measure_of(problem: Problem, declared: BondStretch | Opening | Dissipation) -> Measure:
-    """Return the measure that a case declares (collective)."""
+    """Build the measure that a case declares (collective)."""
     return MEASURES[type(declared)](problem, declared)

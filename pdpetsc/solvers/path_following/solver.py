@@ -1,4 +1,4 @@
-"""Path following: equilibrium at an unknown load factor, where the growth of a measure is prescribed instead."""
+"""Path following: equilibrium at an unknown load factor, with prescribed growth of a measure."""
 
 from __future__ import annotations
 
@@ -23,36 +23,37 @@ from pdpetsc.solvers.path_following.measures import BAND, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 from pdpetsc.solvers.snes import SnesSolver
 
-# A load factor this many times the highest one so far is that of a body which carries nothing any more.
+# A load factor above this multiple of the highest one so far indicates a body without load capacity.
 LEAP = 10.0
-# A step that changes the load factor by more than JUMP times the highest one has probably left the branch: a shorter
-# one is tried, as long as it was longer than PATIENCE times the largest step.
+# A step that changes the load factor by more than JUMP times the highest one has probably left the branch. A shorter
+# step is tried if the step was longer than PATIENCE times the largest step.
 JUMP, PATIENCE = 0.4, 0.05
-# Largest number of sweeps with damage held until it has settled; then a shorter step is tried.
+# Largest number of sweeps until damage has settled; then a shorter step is tried.
 SWEEPS = 100
-# Largest number of solves that bring bonds back which take over from broken ones and are driven further than those.
+# Largest number of solves that reduce the driving variable of bonds that take over from broken ones.
 BACK = 20
-# By how much the measure may miss what it should be after a solve, over its step.
+# Tolerance of the growth of the measure in a solve, over the step.
 MISSED = 0.02
-# Names under which a checkpoint keeps the step of the measure, the largest forces [force], the highest load factor [-],
-# and the forces of the last equilibrium [force].
+# Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], and the
+# forces of the last equilibrium [force].
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
 
 
 class PathSolver(SnesSolver):
-    """Newton's method for ``f_int(u) = lambda f_ext`` with ``u = lambda U`` where prescribed, and one constraint.
+    """Solve ``f_int(u) = lambda f_ext``, ``u = lambda U`` if prescribed, and one constraint by Newton's method.
 
-    Unknowns are the displacements and the load factor ``lambda``; each linear solve takes two with the tangent, for the
-    residual and for the load. SNES sees the whole system, the options of KSP and PC are those of the tangent.
+    Unknowns are the displacements and the load factor ``lambda``. Each linear solve needs two solves with the tangent,
+    for the residual and for the load. SNES solves the bordered system; the options of KSP and PC are those of the
+    tangent.
 
     Parameters
     ----------
     problem, assembler
-        What is solved, and what fills its matrix.
+        The problem, and the object that fills its matrix.
     options : PathFollowing
-        What the case declares.
+        Declared solver.
     stop : callable
-        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+        Called after every iteration, collectively; True ends the solve (a signal arrived).
 
     Raises
     ------
@@ -80,14 +81,14 @@ class PathSolver(SnesSolver):
             problem.supports.prescribed(1.0),
             problem.external_force(problem.state(np.zeros(fixed.shape), 1.0)),
         )
-        # Change of the unknowns with the load factor where the independent ones do not move [length].
+        # Change of the unknowns with the load factor if the independent ones do not move [length].
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
         self._measure = measure_of(problem, options.measure)
-        # Forces of the last converged step, and what the constraint weighs beside them.
+        # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
         self._highest = 0.0
         self._target = 0.0
-        # Load factor where a solve begins, and what resists the prescribed unknowns of load factor 1 there.
+        # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
         self._bordered = Bordered(self._equilibrium.tangent)
@@ -95,7 +96,7 @@ class PathSolver(SnesSolver):
         self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
-        """Return the measure, the nonlinear and the linear solver in a few words."""
+        """Return a short description of the measure, the nonlinear and the linear solver."""
         measure = type(self._options.measure).__name__
         return f"path following by {measure}, snes {self.snes.getType()}, {linear_solver(self._bordered.ksp)}"
 
@@ -107,11 +108,11 @@ class PathSolver(SnesSolver):
 
     @classmethod
     def make(cls, setting: Setting) -> PathSolver:
-        """Return the solver of a setting (collective)."""
+        """Build the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
 
     def resume(self, start: Start) -> None:
-        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
+        """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
         super().resume(start)
         found = [start.resume[name] for name in RESUMED if name in start.resume]
         if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
@@ -121,19 +122,19 @@ class PathSolver(SnesSolver):
             )
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield one equilibrium along the path after the other, from a load factor (collective).
+        """Yield the equilibria along the path, from the load factor of ``start`` (collective).
 
         Raises
         ------
         SolveError
-            The smallest step failed, or there are too many; what was yielded before stands.
+            The smallest step failed, or there are too many steps. The states yielded before are valid.
         Interrupted
-            A signal asked to stop.
+            A signal requested a stop.
         """
         options = self._options
         u, load = start.u, start.t
         self.load = load
-        # A checkpoint of load stepping has none of these numbers.
+        # A checkpoint of load stepping does not contain these numbers.
         at_first = (options.measure.step, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
         step, highest, self._highest, self._carried = known
@@ -192,7 +193,7 @@ class PathSolver(SnesSolver):
         raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium where the measure has grown by ``t`` since the last converged step, from ``u``."""
+        """Find equilibrium at which the measure has grown by ``t`` since the last converged step, from ``u``."""
         sought, of = self._equilibrium, self._constraint
         self._target = t
         self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
@@ -218,7 +219,7 @@ class PathSolver(SnesSolver):
         return sought.at_prescribed(values), result
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
-        """Let the measure grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
+        """Let the measure grow by ``size``; return unknowns, outcome, broken bonds and sweeps."""
         options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._measure.holds_while_bonds_break:
             return equilibrium(self, options.bonds_at_once, u, size, self.stop)
@@ -232,24 +233,24 @@ class PathSolver(SnesSolver):
             more = problem.break_bonds(self.state(attempt), options.bonds_at_once)
             if not more:
                 break
-            # The stretch of the bonds that are now the most stretched is held while the others adapt.
+            # Hold the stretch of the currently most stretched bonds while the others adapt.
             broken += more
             self._aim(attempt, 1.0)
             before, load = attempt, self.load
             attempt, result, sweeps = self._settle(before, 0.0)
             if not result.converged or abs(self.load) > LEAP * self._highest:
-                # There is no equilibrium with that stretch any more: it is sought with the load factor held instead.
+                # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
                 self.load = load
                 self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
                 attempt, result, sweeps = self._settle(before, 0.0)
         return attempt, result, broken, swept
 
     def _brought_back(self, u: Float, result: StepResult, most: float) -> tuple[Float, StepResult, int]:
-        """Let the measure shrink to ``most`` where it is larger: return that equilibrium, how it went and sweeps.
+        """Reduce the measure to ``most`` if it is larger; return that equilibrium, its outcome and sweeps.
 
-        Bonds that take over from broken ones may be driven far beyond those while what was most driven is held. To
-        break them there is to load the body further than it can carry, and that energy leads to other branches. The
-        equilibrium that is given stands where none nearer is found.
+        While the most driven bonds are held, bonds that take over from broken ones may be driven far beyond them.
+        Breaking them in this state would load the body beyond its capacity, and that energy leads to other branches.
+        The given equilibrium remains if no closer one is found.
         """
         swept = 0
         for _ in range(BACK):
@@ -267,10 +268,10 @@ class PathSolver(SnesSolver):
         return u, result, swept
 
     def _settle(self, u: Float, size: float) -> tuple[Float, StepResult, int]:
-        """Find equilibrium and damage where the measure has grown by ``size``, with no bond breaking.
+        """Find equilibrium and damage after growth of the measure by ``size``, without breaking bonds.
 
-        Newton with damage that follows first; where bonds that unload and load again keep it from converging,
-        equilibria with damage held and damage there alternate.
+        Newton with damage that follows the displacement is tried first. If bonds that unload and reload prevent
+        convergence, equilibrium with damage held and damage at that equilibrium alternate.
         """
         problem, load = self.problem, self.load
         problem.freeze(False)
@@ -288,14 +289,14 @@ class PathSolver(SnesSolver):
         return attempt, result, sweeps
 
     def _aim(self, u: Float, step: float) -> float:
-        """Set up the constraint of the next step from the converged ``u``; return by how much the measure grows."""
+        """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
         self._constraint, by_load = self._measure.constraint(u, self.load)
         if by_load:
             return self._options.first * step / self._options.measure.step
         return min(step, self._measure.left(u))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return the unknowns without the load factor, and the load factor, which the conditions are set to."""
+        """Return unknowns and load factor of a vector, and set the conditions to that load factor."""
         sought = self._equilibrium
         values, load = self._bordered.split(x)
         sought.impose(load, load * self._whole[0], load * self._whole[1])
@@ -320,7 +321,7 @@ class PathSolver(SnesSolver):
         return self._take(x)[0]
 
     def _missed(self, values: Float, load: float) -> float:
-        """Return by how much more the measure has grown than it should (collective)."""
+        """Return the growth of the measure minus its target (collective)."""
         return self._constraint.grown(self._comm, self._equilibrium.at_prescribed(values), load) - self._target
 
     def _other_residuals(self, x: PETSc.Vec) -> Float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ from pdpetsc.errors import CaseError
 
 
 @dataclass(frozen=True)
-class RigidTool(Declared):
+class RigidTool(Declared, ABC):
     """A rigid surface with a signed distance; derive from it for another shape.
 
     Parameters

@@ -181,17 +181,17 @@ def _body_of(
     cells = read_cells(folder, stored.run) if stride == 1 else None
     extent = max(1, int((np.ptp(position, axis=0) > 0.0).sum()))
     dim = int(summary.get("dimension") or extent) if cells is None else cells.points.shape[1]
-    x, u = position[:, :dim], scale * stored.field("displacement", step, stride)[:, :dim]
+    x, names = position[:, :dim], stored.names(step)
+    u = scale * stored.field("displacement", step, stride)[:, :dim] if "displacement" in names else np.zeros_like(x)
     depth = float(summary.get("thickness") or 1.0) if dim < 3 else 1.0
     if stride > 1:
         cells, held = boxes(x, (stride * volume / depth) ** (1.0 / dim)), Held(x)
     else:
         cells = (cells or cells_of(x, volume, depth)).own
         held = Held(x, _cracks(summary), broken_pairs(folder, stored.steps[-1] if step is None else step, position))
-    damaged = "local_damage" in stored.names(step)
-    loose = stored.field("local_damage", step, stride) >= LOOSE if damaged else np.zeros(len(x), dtype=bool)
+    damage = stored.field("local_damage", step, stride) if "local_damage" in names else np.zeros(len(x))
     reach = cells.points[cells.corners] - x[np.repeat(cells.owner, cells.count)]
-    return _Body(cells, *deformed(cells, x, u, held, loose), float(np.linalg.norm(reach, axis=1).max()))
+    return _Body(cells, *deformed(cells, x, u, held, damage >= LOOSE), float(np.linalg.norm(reach, axis=1).max()))
 
 
 def _cracks(summary: Mapping[str, Any]) -> list[Crack]:

@@ -13,8 +13,8 @@ from pdpetsc.post.solution import Field, stress
 class Picture(Declared):
     """The deformed body coloured by a field component, in ``picture.png``; a bar is drawn as a curve.
 
-    Particles of a lattice are drawn as deformed cells, others as deformed discs, to scale, with a circle of the size of
-    the horizon beside the body and both faces of cracks as lines. Solid bodies are drawn by PyVista if it is installed.
+    Particles are drawn as their deformed cells, which separate along cracks. A circle of the size of the horizon is
+    below plane bodies; the titles of solid bodies name it. PyVista draws solid bodies if it is installed.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import picture_of_run
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
-from pdpetsc.output.scene import broken_pairs
+from pdpetsc.output.scene import broken_pairs, grid_of
 from pdpetsc.output.surface import read_surface
 from pdpetsc.output.tables import cell, table_html
 from pdpetsc.post.point_location import Held, Inside, inside_of
@@ -210,10 +210,10 @@ class Result(Mapping[str, float]):
         return pandas.DataFrame(self.history)
 
     def to_pyvista(self, step: int | None = None) -> Any:
-        """Return the particles as a PyVista point cloud in the undeformed body, with all fields of a step.
+        """Return the cells of the particles as a PyVista grid in the undeformed body, with all fields of a step.
 
-        Not collective. Its ``warp_by_vector("displacement")`` is the deformed body. Tensors have nine components, row
-        by row.
+        Not collective. Fields are data of cells. Its ``warp_by_vector("displacement")`` is the deformed body, open
+        along cracks. Tensors have nine components, row by row.
 
         Parameters
         ----------
@@ -225,12 +225,9 @@ class Result(Mapping[str, float]):
         CaseError
             PyVista is not installed, or the run wrote no fields.
         """
-        pyvista = optional_module("pyvista", "fields.xdmf opens in ParaView without it")
-        cloud = pyvista.PolyData(np.array(self.x))
-        for name in self.fields.names(step):
-            values = np.asarray(self.field(name, step))
-            cloud.point_data[name] = values.reshape(len(values), -1) if values.ndim > 1 else values
-        return cloud
+        optional_module("pyvista", "fields.xdmf opens in ParaView without it")
+        _ = self.fields  # refuses the fields of a later run
+        return grid_of(self.folder, step)
 
     def check(self) -> list[Check]:
         """Compare the results with the expected results of the case, and return every check (not collective).

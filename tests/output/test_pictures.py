@@ -525,14 +525,17 @@ def test_runs_of_earlier_versions_are_drawn_without_a_file_of_cells(plane, tmp_p
         scene_of(tmp_path / "old", "stress", "xx", 1.0, "bar")
 
 
-def test_a_grid_for_pyvista_opens_along_cracks(plane, solid):
+def test_a_grid_for_pyvista_opens_along_cracks(plane, solid, tmp_path):
     pytest.importorskip("pyvista")
     grid = grid_of(plane, step=2)
     assert grid.n_cells == 72 and grid["stress_xx"].shape == (72,)
     assert grid.n_points == 13 * 7 + 4  # the corners of four cells are split, but for the tip
-    moved = grid.warp_by_vector("displacement")
-    assert np.allclose(moved.points[:, :2], grid.points[:, :2] @ (np.eye(2) + GRADIENT).T, atol=1e-6)
+    warped = grid.warp_by_vector("displacement")
+    assert np.allclose(warped.points[:, :2], grid.points[:, :2] @ (np.eye(2) + GRADIENT).T, atol=1e-6)
     assert grid_of(solid).warp_by_vector("displacement").volume == pytest.approx(24.0 * 1.1 * 0.95)
+    case = moved(pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, steps=pd.Steps(1), fields=[pd.stress])
+    pd.run(case, tmp_path)
+    assert not np.asarray(grid_of(tmp_path)["displacement"]).any()
 
 
 def test_plot_begins_with_the_picture_of_the_case(tmp_path, monkeypatch):

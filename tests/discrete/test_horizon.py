@@ -545,8 +545,8 @@ PLATE = pd.Lattice((0.0, 0.0), (4.0, 2.0), 1.0)
 @pytest.mark.parametrize(
     ("horizon", "message"),
     [
-        ("2", "takes a number, a Horizon, a function or an array as horizon, not '2'"),
-        ([2.0, 2.0], "takes a number, a Horizon, a function or an array as horizon"),
+        ("2", "takes a number, a Horizon, a function, an array or None as horizon, not '2'"),
+        ([2.0, 2.0], "takes a number, a Horizon, a function, an array or None as horizon"),
         (float("nan"), "takes a number, a Horizon"),
         (0.5, "below the spacing"),
         (pd.Horizon, "the class Horizon"),

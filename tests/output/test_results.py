@@ -166,8 +166,8 @@ def test_results_come_as_frames_and_clouds_where_the_libraries_are(result):
         if name == "pandas":
             assert list(found["step"]) == [0.0, 1.0, 2.0] and found["force"].iloc[-1] == result.history["force"][-1]
         else:
-            assert found.n_points == 72 and found.point_data["stress"].shape == (72, 9)
-            assert np.allclose(found.point_data["displacement"], result.field("displacement"))
+            assert found.n_cells == 72 and found.cell_data["stress"].shape == (72, 9)
+            assert np.allclose(found.cell_data["displacement"], result.field("displacement"))
     assert result.results == dict(result)
 
 

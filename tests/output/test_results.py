@@ -600,7 +600,7 @@ def test_a_line_at_the_bottom_of_a_terminal_tells_how_the_run_goes_on(tmp_path):
     assert "a step, " in said.decode() and "MiB" in said.decode()
     # What is no terminal has the lines alone.
     plain = called(tmp_path / "bar.py", "dx=0.5", "-o", tmp_path / "piped").stdout
-    assert "MiB predicted" in plain and "a step, " not in plain and "\x1b" not in plain
+    assert "assembled matrix of" in plain and "a step, " not in plain and "\x1b" not in plain
     # So has one behind mpirun, which gives every rank a terminal of its own.
     plain = run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "two", ranks=2).stdout
     assert "step    1" in plain and "a step, " not in plain and "\x1b" not in plain

@@ -144,7 +144,8 @@ class PointSupport(VectorCondition):
     Parameters
     ----------
     region : Region or str
-        The patch; a size of two to four spacings avoids a singular stress.
+        The patch, two to four spacings wide: the stress is then not singular. The support acts at the middle of the
+        patch; let a beam overhang its supports by half a patch.
     x, y, z : float or callable, optional
         Components of the mean displacement [length]: numbers, or functions of the middle of the patch (1, dim) and the
         load parameter that return one value.

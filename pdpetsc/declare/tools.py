@@ -61,7 +61,7 @@ class RigidTool(Declared, ABC):
         """
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        """Raise CaseError if vectors of the tool have another number of components than ``dim``."""
         if len(self.move) not in (0, dim):
             raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
 
@@ -103,7 +103,7 @@ class RigidPlane(RigidTool):
     normal: Sequence[float]
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        """Raise CaseError if vectors of the tool have another number of components than ``dim``."""
         super().check(dim)
         _vector(self, "point", dim)
         if not np.linalg.norm(_vector(self, "normal", dim)) > 0.0:
@@ -144,7 +144,7 @@ class RigidSphere(RigidTool):
     hollow: bool = False
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if the tool is none of ``dim`` dimensions."""
+        """Raise CaseError if vectors of the tool have another number of components than ``dim``."""
         super().check(dim)
         _vector(self, "center", dim)
 
@@ -182,7 +182,7 @@ class RigidCylinder(RigidTool):
     hollow: bool = False
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if the body is none in space, or the axis has no direction."""
+        """Raise CaseError if the body is not in space, or the axis has no direction."""
         super().check(dim)
         if dim != 3:
             raise CaseError("A RigidCylinder is for bodies in space; take RigidSphere, which is a cylinder in 2D.")
@@ -206,7 +206,7 @@ class Contact(Condition):
 
     The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
     interpolated linearly from the particles near them. With the gap ``g`` of a facet the tool presses with
-    ``p = stiffness <-g>``. The tangential traction sticks with the same stiffness until it reaches ``friction p``.
+    ``p = stiffness <-g>``. A facet sticks with a tenth of that stiffness until the shear traction is ``friction p``.
 
     Parameters
     ----------

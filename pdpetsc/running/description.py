@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pdpetsc.case import Case, ungraded
-from pdpetsc.declare.conditions import Displacement, condition_name
+from pdpetsc.declare.conditions import Condition, Displacement, condition_name
 from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.declare.particles import Lattice
 from pdpetsc.declare.region import SIDES, Nearest
@@ -26,6 +26,8 @@ from pdpetsc.running.notes import notes
 from pdpetsc.running.suited import lame_ratio, locking_note
 from pdpetsc.running.suited import words as suited_words
 from pdpetsc.running.unbalanced_surface import unbalanced_areas
+
+Kind = TypeVar("Kind", bound=Condition)
 
 
 def versions_in_use() -> dict[str, str]:
@@ -176,23 +178,23 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
 def _held_in_the_mean(case: Case, problem: Problem) -> list[tuple[str, str, int]]:
     """Return the name, the components and the number of particles of each point support."""
     found, cloud = [], problem.body.cloud
-    for number, condition in enumerate(case.conditions, 1):
-        if isinstance(condition, PointSupport):
-            name = condition_name(condition, number)
-            axes = "".join("xyz"[axis] for axis, _ in condition.components(problem.dim))
-            found.append((name, axes, int(total(cloud.comm, np.count_nonzero(select(cloud, condition.region, name))))))
+    for name, condition in _named(case, PointSupport):
+        axes = "".join("xyz"[axis] for axis, _ in condition.components(problem.dim))
+        found.append((name, axes, int(total(cloud.comm, np.count_nonzero(select(cloud, condition.region, name))))))
     return found
+
+
+def _named(case: Case, kind: type[Kind]) -> list[tuple[str, Kind]]:
+    """Return the conditions of a kind with their names in messages."""
+    numbered = enumerate(case.conditions, 1)
+    return [(condition_name(one, number), one) for number, one in numbered if isinstance(one, kind)]
 
 
 def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
     """Return the names of displacements at a point that hold several particles, with their numbers."""
     counts = {name: count for name, _, count in held}
-    found = []
-    for number, condition in enumerate(case.conditions, 1):
-        name = condition_name(condition, number)
-        if isinstance(condition, Displacement) and isinstance(condition.region, Nearest) and counts[name] > 1:
-            found.append((name, counts[name]))
-    return found
+    points = [name for name, condition in _named(case, Displacement) if isinstance(condition.region, Nearest)]
+    return [(name, counts[name]) for name in points if counts[name] > 1]
 
 
 def _held_inside(case: Case, problem: Problem) -> list[tuple[str, str]]:
@@ -204,10 +206,7 @@ def _held_inside(case: Case, problem: Problem) -> list[tuple[str, str]]:
     x = cloud.x[: cloud.n_owned]
     low, high = (np.asarray(end, dtype=float) for end in case.particles.box)
     half = 0.5 * case.particles.spacing
-    for number, condition in enumerate(case.conditions, 1):
-        if not isinstance(condition, Displacement):
-            continue
-        name = condition_name(condition, number)
+    for name, condition in _named(case, Displacement):
         held = select(cloud, condition.region, name)
         for side in SIDES[: 2 * cloud.dim]:
             axis = "xyz".index(side[1])

@@ -67,7 +67,7 @@ class Applied:
         self.loads = DeadLoads(body, material_term, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
         self.contacts: list[Term] = []
-        self._kappa = largest(body.cloud.comm, material_term.kappa)
+        self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
         self.eigenstrains: list[tuple[str, Eigenstrain, Mask]] = []
@@ -143,11 +143,12 @@ class Applied:
             condition.tool.check(cloud.dim)
         assert self.body.surface is not None
         mask = self.body.surface.select(cloud, condition.region, name)
-        own = cloud.volume[: cloud.n_owned]
-        volume, count = total(cloud.comm, [own.sum(), len(own)])
         depth = self.particles.thickness if cloud.dim < 3 else 1.0
-        spacing = float(volume / count / depth) ** (1.0 / cloud.dim)
-        stiffness = STIFFNESS * self._kappa / spacing if condition.stiffness is None else condition.stiffness
+        volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
+        spacing = (volume / cloud.n_global / depth) ** (1.0 / cloud.dim)
+        stiffness = condition.stiffness
+        if stiffness is None:
+            stiffness = STIFFNESS * largest(cloud.comm, self._material_term.kappa) / spacing
         self.contacts.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError, SolveError
@@ -49,27 +49,31 @@ class ContactProduct(RankOneProduct):
     """
 
     def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
-        dim, sizes = blocks.shape[1], np.diff(facets.point_ptr)
+        n, dim = blocks.shape[:2]
         # One stencil for each component of the displacement of a facet.
-        ptr = np.concatenate([[0], np.cumsum(np.repeat(sizes, dim))]).astype(np.int64)
-        entry = np.arange(ptr[-1]) - np.repeat(ptr[:-1], np.repeat(sizes, dim))
-        entry += np.repeat(np.repeat(facets.point_ptr[:-1], dim), np.repeat(sizes, dim))
-        column = np.repeat(np.tile(np.arange(dim), len(sizes)), np.repeat(sizes, dim))
-        of_facet = np.repeat(np.arange(len(sizes)), dim * sizes)
-        h = N[entry, None] * blocks[of_facet, :, column]
+        facet, axis = np.repeat(np.arange(n), dim), np.tile(np.arange(dim), n)
+        entry, ptr = entries_of(facets.point_ptr, facet)
+        sizes = np.diff(ptr)
+        column = np.repeat(axis, sizes)
+        h = N[entry, None] * blocks[np.repeat(facet, sizes), :, column]
         g = N[entry, None] * np.eye(dim)[column]
-        members = StencilMembers(np.repeat(facets.owner, dim), ptr, facets.members[entry])
-        super().__init__(members, n_owned, h, g, np.ones(dim * len(sizes)))
+        members = StencilMembers(facets.owner[facet], ptr, facets.members[entry])
+        super().__init__(members, n_owned, h, g, np.ones(n * dim))
         self._facets, self._N, self._blocks = facets, N, blocks
-        self._of = np.repeat(np.arange(len(sizes)), sizes)
+        self._of = np.repeat(np.arange(n), np.diff(facets.point_ptr))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the facets of the particles; unlike a gradient, facets resist translations."""
         here = np.isin(self._facets.owner, particles)
         members, N = self._facets.members, self._N
-        moved = np.stack([np.bincount(self._of, N * du[members, axis], len(here)) for axis in range(du.shape[1])], 1)
+        moved = _sums(self._of, N[:, None] * du[members], len(here))
         force = np.where(here[:, None], np.einsum("fij,fj->fi", self._blocks, moved), 0.0)
         np.add.at(f, members, N[:, None] * force[self._of])
+
+
+def _sums(of: GlobalIndex, values: Float, count: int) -> Float:
+    """Return the sums (count, dim) of rows of values (n, dim) by the number of their facet (n,)."""
+    return np.stack([np.bincount(of, along, count) for along in values.T], axis=1)
 
 
 class ContactForces(Term):
@@ -114,11 +118,9 @@ class ContactForces(Term):
         at = np.flatnonzero(mask)
         at = at[np.argsort(surface.owner[at], kind="stable")]
         self._x, self._area = surface.x[at], np.linalg.norm(surface.area[at], axis=1)
-        sizes = np.diff(surface.ptr)[at]
-        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        entry = np.arange(ptr[-1]) - np.repeat(ptr[:-1], sizes) + np.repeat(surface.ptr[at], sizes)
+        entry, ptr = entries_of(surface.ptr, at)
         self._facets = StencilMembers(surface.owner[at].astype(np.int32), ptr, surface.members[entry])
-        self._N, self._of = surface.N[entry], np.repeat(np.arange(len(at)), sizes)
+        self._N, self._of = surface.N[entry], np.repeat(np.arange(len(at)), np.diff(ptr))
         # Displacements relative to the tool and tangential tractions at the last converged step.
         self._tau, self._slid = np.zeros_like(self._x), np.zeros_like(self._x)
         deepest = self._deepest(State(body, np.zeros((body.cloud.n_rows, body.dim))))
@@ -134,9 +136,13 @@ class ContactForces(Term):
 
     def _moved(self, state: State) -> Float:
         """Compute the displacements of the facets relative to the tool (n_facets, dim) [length] (collective)."""
-        u, count = state.u_local, len(self._x)
-        moved = [np.bincount(self._of, self._N * u[self._facets.members, axis], count) for axis in range(self.body.dim)]
-        return np.stack(moved, axis=1) - self._tool.displacement(state.t, self.body.dim)
+        u = state.u_local
+
+        def make() -> Float:
+            moved = _sums(self._of, self._N[:, None] * u[self._facets.members], len(self._x))
+            return moved - self._tool.displacement(state.t, self.body.dim)
+
+        return state.kept((self, "moved"), make)
 
     def _gap(self, state: State) -> tuple[Float, Float, Float]:
         """Compute gap, normal and curvature of all facets (collective)."""
@@ -189,9 +195,7 @@ class ContactForces(Term):
         """Return the blocks of the facets in contact."""
         touching = self._touching(state)
         rows = touching.rows
-        sizes = np.diff(self._facets.point_ptr)[rows]
-        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        entry = np.isin(self._of, rows)
+        entry, ptr = entries_of(self._facets.point_ptr, rows)
         facets = StencilMembers(self._facets.owner[rows], ptr, self._facets.members[entry])
         blocks = self._area[rows, None, None] * touching.blocks
         return [ContactProduct(facets, self.body.cloud.n_owned, self._N[entry], blocks)]

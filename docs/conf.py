@@ -84,7 +84,9 @@ mathjax3_config = {"options": {"enableMenu": False}, "svg": {"fontCache": "globa
 
 
 def without_gallery(app, docname, source):
-    """Leave the gallery out where it has not been generated: the rest builds without it."""
+    """Leave out the gallery and the film of the front page if they have not been generated."""
+    if not (HERE / "examples" / "images" / "crack.gif").exists():
+        source[0] = re.sub(r"^% film\n.*?^% end of film\n", "", source[0], flags=re.MULTILINE | re.DOTALL)
     if not (HERE / "examples" / "index.md").exists():
         source[0] = re.sub(r"^% gallery\n.*?^% end of gallery\n", "", source[0], flags=re.MULTILINE | re.DOTALL)
         source[0] = re.sub(r"^.*\bexamples/index\b.*\n", "", source[0], flags=re.MULTILINE)

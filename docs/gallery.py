@@ -1,8 +1,9 @@
 """The gallery of examples, each of which is run and checked: python docs/gallery.py OUTDIR.
 
 Runs every example below with ``--check``, as many side by side as there are cores, and writes a page for each and an
-index in MyST Markdown to OUTDIR. An example that has ended well is not run again as long as its parameters, the files
-that it imports and pdpetsc are the same. Exit status 1 where a run fails or its checks do; its name is printed.
+index in MyST Markdown to OUTDIR, and the film of the front page. An example that has ended well is not run again as
+long as its parameters, the files that it imports and pdpetsc are the same. Exit status 1 if a run or its checks fail;
+its name is printed.
 """
 
 from __future__ import annotations
@@ -21,6 +22,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+# The tests load this file from another folder.
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from thumbnails import thumbnail
+
 ROOT = Path(__file__).resolve().parent.parent
 RUNS = ROOT / "runs"
 # Runs are kept here, whatever folder the pages are written to.
@@ -34,8 +40,8 @@ DATA = (".json", ".msh", ".toml")
 class Example:
     """One file of ``runs/`` as the gallery shows it.
 
-    ``words`` are its parameters at the size of the gallery, ``curve`` two columns of its history to draw, and ``quick``
-    says that it takes less than three seconds.
+    ``words`` are its parameters at the size of the gallery and ``curve`` two columns of its history to draw. An example
+    that is ``quick`` takes less than three seconds. A ``film`` has no page and no checks: all its steps are drawn.
     """
 
     title: str
@@ -43,11 +49,12 @@ class Example:
     words: str = ""
     curve: tuple[str, str] | None = None
     quick: bool = False
+    film: bool = False
 
     @property
     def name(self) -> str:
-        """Return the name of its page."""
-        return self.file.removesuffix(".py").replace("/", "_")
+        """Return the name of its page and of its folder, which is the title of a film."""
+        return self.path.stem if self.film else self.file.removesuffix(".py").replace("/", "_")
 
     @property
     def path(self) -> Path:
@@ -103,6 +110,12 @@ SECTIONS = {
     ],
 }
 EXAMPLES = [example for examples in SECTIONS.values() for example in examples]
+# The film of the front page.
+FILM = Example(
+    "Crack from the corner of a concrete panel", "fracture/l_panel.py",
+    "damage=point n=20 horizon=2.015 G=2 step=0.02 end=0.6", film=True,
+)  # fmt: skip
+FILM_FILE = "crack.gif"
 
 
 def imported(path: Path) -> set[Path]:
@@ -153,9 +166,15 @@ def perform(example: Example, work: Path = WORK) -> str:
     before = time.perf_counter()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = [sys.executable, "-m", "pdpetsc"]
-    runs = [[*words, str(example.path), *example.words.split(), "--check", "-o", str(folder)]]
+    check = [] if example.film else ["--check"]
+    runs = [[*words, str(example.path), *example.words.split(), *check, "-o", str(folder)]]
+    pictures = ["picture.png"]
     if example.curve is not None:
         runs.append([*words, "plot", str(folder), f"x={example.curve[0]}", f"y={example.curve[1]}"])
+        pictures.append("history.png")
+    if example.film:
+        runs.append([*words, "plot", str(folder), "--animate", "format=gif"])
+        pictures.append("deformed.gif")
     for run in runs:
         try:
             done = subprocess.run(
@@ -165,7 +184,7 @@ def perform(example: Example, work: Path = WORK) -> str:
             return f"it takes longer than {LIMIT} seconds"
         if done.returncode:
             return (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-    for picture in ("picture.png", *(["history.png"] if example.curve is not None else [])):
+    for picture in pictures:
         if not (folder / picture).is_file():
             return f"it has not drawn {picture}"
     kept.write_text(now)
@@ -195,8 +214,9 @@ def pack(example: Example, path: Path) -> None:
 
 
 def page(example: Example, work: Path, images: Path) -> str:
-    """Return the page of an example that has been run; its pictures and files are copied to ``images``."""
+    """Return the page of an example that has been run; its pictures and files are written to ``images``."""
     folder = work / example.name
+    thumbnail(folder, images / f"{example.name}_thumbnail.png")
     summary = json.loads((folder / "summary.json").read_text())
     source = example.path.read_text()
     told = ast.get_docstring(ast.parse(source)) or ""
@@ -231,7 +251,7 @@ def index(sections: dict[str, list[Example]], images: Path) -> str:
     for title, examples in sections.items():
         lines += ["", f"## {title}", "", "````{grid} 1 2 3 3", ":gutter: 3", ""]
         for example in examples:
-            picture = f"{example.name}_picture.png"
+            picture = f"{example.name}_thumbnail.png"
             told = first_sentence(ast.get_docstring(ast.parse(example.path.read_text())) or "")
             lines += [f"```{{grid-item-card}} {example.title}", f":link: {example.name}", ":link-type: doc"]
             lines += (
@@ -246,11 +266,15 @@ def index(sections: dict[str, list[Example]], images: Path) -> str:
     return "\n".join([*lines, "```", ""])
 
 
-def build(folder: Path, sections: dict[str, list[Example]], work: Path = WORK) -> list[str]:
+def build(
+    folder: Path, sections: dict[str, list[Example]], work: Path = WORK, film: Example | None = None
+) -> list[str]:  # fmt: skip
     """Run what has changed, write the pages of all that ended well, and return a sentence for each that did not."""
     images = folder / "images"
     images.mkdir(parents=True, exist_ok=True)
     examples = [example for section in sections.values() for example in section]
+    if film is not None:
+        examples.append(film)
     # Those that take long are begun first.
     order = sorted(examples, key=lambda example: example.quick)
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
@@ -258,6 +282,8 @@ def build(folder: Path, sections: dict[str, list[Example]], work: Path = WORK) -
     well = {title: [example for example in some if not wrong[example]] for title, some in sections.items()}
     for example in (example for some in well.values() for example in some):
         (folder / f"{example.name}.md").write_text(page(example, work, images))
+    if film is not None and not wrong[film]:
+        shutil.copyfile(work / film.name / "deformed.gif", images / FILM_FILE)
     (folder / "index.md").write_text(index({title: some for title, some in well.items() if some}, images))
     return [f"{example.file}: {why}" for example, why in wrong.items() if why]
 
@@ -267,7 +293,7 @@ def main(words: Sequence[str]) -> int:
     if len(words) != 1 or words[0].startswith("-"):
         print("usage: python docs/gallery.py OUTDIR", file=sys.stderr)
         return 2
-    failed = build(Path(words[0]), SECTIONS)
+    failed = build(Path(words[0]), SECTIONS, film=FILM)
     for sentence in failed:
         print(f"gallery: {sentence}", file=sys.stderr)
     return 1 if failed else 0

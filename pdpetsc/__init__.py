@@ -51,6 +51,7 @@ from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
+from pdpetsc.declare.rigid_surface import RigidSurface
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import (
     SOLVERS,
@@ -75,7 +76,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
-from pdpetsc.declare.tools import Contact, RigidCylinder, RigidPlane, RigidSphere, RigidTool
+from pdpetsc.declare.tools import Contact, RigidBox, RigidCylinder, RigidPlane, RigidSphere, RigidTool
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
@@ -230,9 +231,11 @@ __all__ = [
     "Refinement",
     "RelativeError",
     "Result",
+    "RigidBox",
     "RigidCylinder",
     "RigidPlane",
     "RigidSphere",
+    "RigidSurface",
     "RigidTool",
     "Roller",
     "RunError",

@@ -88,8 +88,8 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
     word = known.get(path.suffix.lower()) if name is None else name
     if word is None:
         raise CaseError(
-            f"Cannot tell the format of the mesh {path}: its ending is none of {', '.join(known)}; give the Mesh a "
-            f"format, one of {', '.join(FORMATS)}."
+            f"Cannot tell the format of the mesh {path} from its ending; known are {', '.join(known)}. Use "
+            f"Mesh(format=...), one of {', '.join(FORMATS)}."
         )
     if not path.is_file():
         raise CaseError(f"Cannot read the mesh {path}: file not found.")
@@ -110,10 +110,14 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
             _check(mesh)
             return mesh
     except _TooLong:
-        raise CaseError(f"Cannot read the mesh {path} as {word}: it took more than {seconds:.0f} s.") from None
+        raise CaseError(
+            f"Cannot read the mesh {path} as {word}: it took more than {seconds:.0f} s. Is the format right? Convert "
+            "it to another one, such as Gmsh 4.1."
+        ) from None
     except MemoryError:
         raise CaseError(
-            f"Cannot read the mesh {path} as {word}: its {size} bytes ask for far more memory than a mesh of that size."
+            f"Cannot read the mesh {path} as {word}: {size} bytes need more memory than such a mesh should. The file "
+            "is damaged or has another format."
         ) from None
     except RecursionError:
         raise CaseError(f"Cannot read the mesh {path} as {word}: it is nested too deeply.") from None
@@ -254,6 +258,7 @@ FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
     "nastran": ((".bdf", ".nas", ".fem"), _read_nastran),
     "xdmf": ((".xdmf", ".xmf"), _by_meshio("xdmf")),
     "med": ((".med",), _by_meshio("med")),
+    "stl": ((".stl",), _by_meshio("stl")),
 }
 
 

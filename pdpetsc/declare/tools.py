@@ -1,4 +1,4 @@
-"""Rigid tools by their signed distance, moved by schedules, and their contact with a body."""
+"""Rigid tools by their signed distance, moved and turned by schedules, and their contact with a body."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Condition, evaluated
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Ramp, Schedule
-from pdpetsc.declared import Declared, NonNegative, Positive
+from pdpetsc.declared import Declared, Finite, Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 
@@ -21,12 +22,20 @@ from pdpetsc.errors import CaseError
 class RigidTool(Declared, ABC):
     """A rigid surface with a signed distance; derive from it for another shape.
 
+    A point X of the tool moves to ``R (X - c) + c + d`` with ``c = about``, ``d = schedule(t) move`` and the rotation
+    ``R`` by ``schedule(t) turn``.
+
     Parameters
     ----------
     move : sequence of float, optional
-        Displacement at the end of the load (dim,) [length]; none by default.
+        Displacement of ``about`` at the end of the load (dim,) [length]; none by default.
+    turn : float or sequence of float
+        Rotation at the end of the load [rad]: the angle, anticlockwise, in 2D; the angle times the direction of the
+        axis in space (3,). None by default.
+    about : sequence of float, optional
+        The point (dim,) about which the tool turns [length].
     schedule : callable, optional
-        Factor on ``move`` as a function of the load parameter; ``Ramp()`` by default.
+        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default.
 
     Examples
     --------
@@ -36,19 +45,21 @@ class RigidTool(Declared, ABC):
     """
 
     move: Sequence[float] = field(default=(), kw_only=True)
+    turn: Finite | Sequence[float] = field(default=(), kw_only=True)
+    about: Sequence[float] = field(default=(), kw_only=True)
     schedule: Schedule = field(default_factory=Ramp, kw_only=True)
 
     @abstractmethod
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute distance, normal and curvature at points ``x + u``.
 
-        The distance is that of ``x``, with a constant rounding error, and a change that does not round as long
-        coordinates do: ``c`` times its noise is a force.
+        Write the distance as that of ``x`` plus a change by ``u`` where that is possible: the difference of two long
+        coordinates rounds, and the stiffness of the contact times that rounding is a force.
 
         Parameters
         ----------
         x, u : (n, dim) float64
-            Reference positions, and displacements relative to the tool [length].
+            Reference positions, and displacements [length], both as seen from the tool.
 
         Returns
         -------
@@ -64,13 +75,31 @@ class RigidTool(Declared, ABC):
         """Raise CaseError if vectors of the tool have another number of components than ``dim``."""
         if len(self.move) not in (0, dim):
             raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
+        numbers = np.ravel(self.turn)
+        if len(numbers) not in (0, 1 if dim == 2 else 3):
+            raise CaseError(
+                f"{type(self).__name__} turns by {len(numbers)} numbers in {dim} dimensions; give "
+                f"{'an angle' if dim == 2 else 'the angle times the direction of the axis'}."
+            )
+        if len(numbers) and len(self.about) != dim:
+            raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
 
-    def displacement(self, t: float, dim: int) -> Float:
-        """Compute the displacement of the tool at a load parameter (dim,) [length]."""
-        if not len(self.move):
-            return np.zeros(dim)
-        factor = evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t)
-        return np.asarray(self.move, dtype=float) * factor
+    def motion(self, t: float, dim: int) -> tuple[Float, Float]:
+        """Compute rotation (dim, dim) and displacement (dim,) [length] of the tool at a load parameter."""
+        factor = float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
+        moved = np.asarray(self.move, dtype=float) * factor if len(self.move) else np.zeros(dim)
+        numbers = np.ravel(self.turn)
+        if not len(numbers):
+            return np.eye(dim), moved
+        about = numbers if dim == 3 else np.array([0.0, 0.0, numbers[0]])
+        return scipy.spatial.transform.Rotation.from_rotvec(factor * about).as_matrix()[:dim, :dim], moved
+
+    def relative(self, x: Float, u: Float, t: float) -> tuple[Float, Float]:
+        """Compute the displacements (n, dim) [length] of points ``x`` as seen from the tool, and its rotation."""
+        R, d = self.motion(t, x.shape[1])
+        if not len(np.ravel(self.turn)):
+            return u - d, R
+        return (u - d) @ R + (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1])), R
 
 
 def _vector(tool: RigidTool, name: str, dim: int) -> Float:
@@ -90,7 +119,7 @@ class RigidPlane(RigidTool):
         A point of the plane (dim,) [length].
     normal : sequence of float
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
-    move, schedule
+    move, turn, about, schedule
         As for ``RigidTool``.
 
     Examples
@@ -119,6 +148,57 @@ class RigidPlane(RigidTool):
 
 
 @dataclass(frozen=True)
+class RigidBox(RigidTool):
+    """A rigid box, or a rectangle in 2D, with rounded edges.
+
+    Parameters
+    ----------
+    low, high : sequence of float
+        Its opposite corners (dim,) [length].
+    radius : float
+        Radius of its edges and corners [length]; 0 by default.
+    move, turn, about, schedule
+        As for ``RigidTool``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> jaw = pd.RigidBox((-1.0, 10.0), (1.0, 12.0), radius=0.2, move=(0.0, -0.5))
+    """
+
+    low: Sequence[float]
+    high: Sequence[float]
+    radius: NonNegative = 0.0
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if vectors of the tool have another number of components than ``dim``, or it has no size."""
+        super().check(dim)
+        sides = _vector(self, "high", dim) - _vector(self, "low", dim)
+        if not sides.min() > 0.0 or 2.0 * self.radius > sides.min():
+            raise CaseError(
+                f"A RigidBox has sides of {sides.tolist()} and edges of radius {self.radius:g}; let high exceed low, "
+                f"by twice the radius at least."
+            )
+
+    def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
+        """Compute ``|<q>| + min(max_i q_i, 0) - radius`` with ``q_i = |x_i + u_i - c_i| - (half side - radius)``."""
+        low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
+        from_middle = x - 0.5 * (low + high) + u
+        q = np.abs(from_middle) - (0.5 * (high - low) - self.radius)
+        outside, sign = np.maximum(q, 0.0), np.where(from_middle < 0.0, -1.0, 1.0)
+        r = np.linalg.norm(outside, axis=1)
+        within = r == 0.0
+        nearest = np.eye(x.shape[1])[np.argmax(q, axis=1)]
+        far = np.where(within, 1.0, r)
+        e = np.where(within[:, None], nearest, outside / far[:, None])
+        # Only directions in which the point is beyond the sides are curved.
+        curved = np.where(within[:, None, None], 0.0, np.eye(x.shape[1]) * (q > 0.0)[:, :, None])
+        H = (curved - np.where(within[:, None, None], 0.0, e[:, :, None] * e[:, None, :])) / far[:, None, None]
+        g = np.where(within, q.max(axis=1), r) - self.radius
+        return g, sign * e, sign[:, :, None] * H * sign[:, None, :]
+
+
+@dataclass(frozen=True)
 class RigidSphere(RigidTool):
     """A rigid ball; in 2D a disc, which is a cylinder across the plane.
 
@@ -130,7 +210,7 @@ class RigidSphere(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the ball.
-    move, schedule
+    move, turn, about, schedule
         As for ``RigidTool``.
 
     Examples
@@ -167,7 +247,7 @@ class RigidCylinder(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the cylinder.
-    move, schedule
+    move, turn, about, schedule
         As for ``RigidTool``.
 
     Examples
@@ -206,33 +286,37 @@ class Contact(Condition):
 
     The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
     interpolated linearly from the particles near them. With the gap ``g`` of a facet the tool presses with
-    ``p = stiffness <-g>``. A facet sticks with a tenth of that stiffness until the shear traction is ``friction p``.
+    ``p = <p0 - stiffness g>``. The multiplier ``p0`` is 0; only where an equilibrium penetrates by more than
+    ``penetration``, it becomes the pressure of that equilibrium, which is solved again, until none does. A facet sticks
+    with a tenth of the stiffness until the shear traction is ``friction p``.
 
     Parameters
     ----------
     region : Region or str
         Facets that may touch: a side, ``"-x"`` to ``"+z"``, a set or a region.
     tool : RigidTool
-        ``RigidPlane``, ``RigidSphere`` or ``RigidCylinder``.
+        ``RigidPlane``, ``RigidBox``, ``RigidSphere``, ``RigidCylinder`` or ``RigidSurface``.
     friction : float
         Coefficient of friction [-]; 0 by default.
     stiffness : float, optional
-        Pressure over penetration [stress / length]; by default 100 times the modulus ``lambda + 2 mu / dim`` over the
+        Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim`` over the
         spacing.
+    penetration : float
+        Largest penetration over the spacing in an equilibrium [-]; 0.01 by default.
     name : str
-        Prefix of the columns ``NAME_x``, ``NAME_y`` (force of the tool on the body) and ``NAME_area`` (area in contact)
-        in the history.
+        Prefix of the columns ``NAME_x``, ``NAME_y`` (force of the tool on the body), ``NAME_area`` (area in contact)
+        and ``NAME_depth`` (largest penetration over the spacing) in the history.
 
     Raises
     ------
     CaseError
         In a case: the tool overlaps the body at the start, or the surface of the particles is not known.
     SolveError
-        A step converges with a penetration of more than 5 % of the spacing.
+        Equilibria penetrate by more than ``penetration``, whatever the multipliers.
 
     References
     ----------
-    Wriggers2006, sections 5.1 and 5.2 (penalty), 10.5 (return mapping).
+    Wriggers2006, sections 5.1 and 5.2 (penalty), 5.4 (augmented Lagrange), 10.5 (return mapping).
 
     Examples
     --------
@@ -245,6 +329,7 @@ class Contact(Condition):
     tool: RigidTool
     friction: NonNegative = 0.0
     stiffness: Positive | None = None
+    penetration: Fraction = 0.01
     name: str = "contact"
 
     on_surface: ClassVar[bool] = True

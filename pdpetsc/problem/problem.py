@@ -289,9 +289,15 @@ class Problem:
             self.last_step.commit(state)
         self._converged = state.t
 
+    def settle(self, state: State) -> bool:
+        """Update the multipliers of all terms at an equilibrium; return True if it has to be solved again."""
+        return any([term.settle(state) for term in self.terms])
+
     def revert(self) -> None:
-        """Restore bonds and solved fields of the last committed state."""
+        """Restore bonds, multipliers and solved fields of the last committed state."""
         self.revert_bonds()
+        for term in self.terms:
+            term.revert_settled()
         for field in self.fields:
             field.revert()
 

@@ -190,6 +190,16 @@ class Term(ABC):
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
         """Update after bonds have lost or regained force; if ``rebuild``, after bonds have broken or mended."""
 
+    def settle(self, state: State) -> bool:
+        """Update what is constant during a solve, such as multipliers, at its equilibrium.
+
+        Return True on all ranks if the forces have changed, so that the step has to be solved again.
+        """
+        return False
+
+    def revert_settled(self) -> None:  # noqa: B027
+        """Restore what ``settle`` has updated since the last converged step."""
+
     def before_commit(self, state: State) -> None:  # noqa: B027
         """Read a converged state before any term updates its history."""
 

@@ -25,10 +25,14 @@ FLOOR = 20.0
 STAGNATION = 0.5
 # Largest number of additional solves, each with moved springs of loose particles, until the springs have no force.
 RESTS = 5
+# Largest number of additional solves, each with new multipliers of contacts.
+SETTLINGS = 20
 # Tolerance on a norm that is computed again with another order of summation.
 SLACK = 1.0 + 1e-6
 # Reason for no equilibrium of a loaded loose piece.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
+# Reason for no equilibrium with contact.
+UNSETTLED = "a tool stays deeper in the body than its contact allows; raise its stiffness"
 # A failed solve under loads has run away if it moved this multiple of its first linear response.
 RUNAWAY = 100.0
 # Interpretation of a run-away solve.
@@ -340,7 +344,7 @@ class Equilibrium:
         """
         iterations = max(len(self.norms) - 1, 0)
         words = self.reason or _words(reason, linear_reason)
-        if reason > 0 and not converged and self.reason != HELD_BY_NOTHING:
+        if reason > 0 and not converged and self.reason not in (HELD_BY_NOTHING, UNSETTLED):
             words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
         first, most = self._moved
         if not (converged or self.reason):

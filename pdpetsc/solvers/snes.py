@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.petsc.library import forces_iteration, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
-from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
+from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNSETTLED, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
 from pdpetsc.solvers.unique import refuse_mechanism
 
@@ -144,9 +144,9 @@ class SnesSolver(StepSolver):
         return np.asarray(x.array_r[: self._n_u] * self._scales.length)
 
     def _rested(self) -> tuple[bool, int]:
-        """Solve again with moved springs of loose particles, until the springs have no force.
+        """Solve again with moved springs of loose particles and with new multipliers, until neither moves the body.
 
-        Return True if forces balance without them, and the linear iterations.
+        Return True if forces balance without the springs and the multipliers have settled, and the linear iterations.
         """
         sought, linear = self._equilibrium, 0
         resting = sought.resting
@@ -159,7 +159,16 @@ class SnesSolver(StepSolver):
             sought.reason = ""
             linear += self._iterate(rest)
             resting = sought.at_rest(self._read(self._x), self._rtol)
-        return resting, linear
+        for _ in range(SETTLINGS):
+            found = sought.at_prescribed(self._read(self._x))
+            if not resting or self.snes.getConvergedReason() <= 0:
+                return resting, linear
+            if not self.problem.settle(self.problem.state(found, sought.t)):
+                return True, linear
+            sought.reason = ""
+            linear += self._iterate(found)
+        sought.reason = UNSETTLED
+        return False, linear
 
     def _judged(self, x: PETSc.Vec) -> bool:
         """Return True if the residuals at a vector are within the tolerance."""

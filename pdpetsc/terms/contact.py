@@ -1,4 +1,4 @@
-"""Contact of the facets of a surface with a rigid tool: penalty, Coulomb friction by return mapping."""
+"""Contact of the facets of a surface with a rigid tool: augmented Lagrange, Coulomb friction by return mapping."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 
-# Pressure over penetration of the default stiffness, in moduli over the spacing [-].
-STIFFNESS = 100.0
+# Pressure over penetration of the default stiffness, in moduli over the spacing [-]. With ten times of it a tool that
+# moves by a spacing a step, with friction, needs four times as many load steps.
+STIFFNESS = 10.0
 # Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
 STICKING = 0.1
-# Penetration over the spacing at which a run fails, and from which a tool overlaps the body at the start [-].
-DEEP, OVERLAP = 0.05, 1e-6
+# Tolerance of a penetration that is computed again.
+SLACK = 1.0 + 1e-6
+# Penetration over the spacing from which a tool overlaps the body at the start [-].
+OVERLAP = 1e-6
 
 
 class _Touching(NamedTuple):
@@ -79,9 +82,10 @@ def _sums(of: GlobalIndex, values: Float, count: int) -> Float:
 class ContactForces(Term):
     """Compute forces ``f_k = sum_f N_f(x_k) |a_f| (p n + tau)`` of a rigid tool on the facets of a surface.
 
-    With the gap g of a facet at ``x_f + sum_k N_f(x_k) u_k``, ``p = c <-g>``. Friction has the trial traction
-    ``tau* = (1 - n (x) n) (tau_0 - c_t (u - u_0))`` relative to the tool since the last converged step; it sticks,
-    ``tau = tau*``, while ``|tau*| <= mu p``, and slides with ``tau = mu p tau* / |tau*|``.
+    With the gap g of a facet at ``x_f + sum_k N_f(x_k) u_k``, ``p = <p0 - c g>`` with the multiplier ``p0``. Friction
+    has the trial traction ``tau* = (1 - n (x) n) (tau_0 - c_t (u - u_0))`` with displacements as seen from the tool,
+    since the last converged step. It sticks, ``tau = tau*``, while ``|tau*| <= mu p``, and slides with ``tau = mu p tau*
+    / |tau*|``. All of this is computed as seen from the tool, and turned with it.
 
     Parameters
     ----------
@@ -112,6 +116,7 @@ class ContactForces(Term):
     ) -> None:  # fmt: skip
         self.body, self._declared, self._name = body, declared, name
         self._tool, self._mu, self._c, self._spacing = declared.tool, declared.friction, stiffness, spacing
+        self._allowed = declared.penetration * spacing
         self.symmetric = self._mu == 0.0
         surface = body.surface
         assert surface is not None
@@ -121,8 +126,11 @@ class ContactForces(Term):
         entry, ptr = entries_of(surface.ptr, at)
         self._facets = StencilMembers(surface.owner[at].astype(np.int32), ptr, surface.members[entry])
         self._N, self._of = surface.N[entry], np.repeat(np.arange(len(at)), np.diff(ptr))
-        # Displacements relative to the tool and tangential tractions at the last converged step.
+        # At the last converged step: tangential tractions and displacements as seen from the tool, and multipliers.
         self._tau, self._slid = np.zeros_like(self._x), np.zeros_like(self._x)
+        self._p0 = np.zeros(len(self._x))
+        # Multipliers of the current solve.
+        self._p = self._p0.copy()
         deepest = self._deepest(State(body, np.zeros((body.cloud.n_rows, body.dim))))
         if deepest > OVERLAP * spacing:
             raise CaseError(
@@ -135,17 +143,21 @@ class ContactForces(Term):
         return self._facets.point_ptr, self._facets.members
 
     def _moved(self, state: State) -> Float:
-        """Compute the displacements of the facets relative to the tool (n_facets, dim) [length] (collective)."""
+        """Compute the displacements of the facets as seen from the tool (n_facets, dim) [length] (collective)."""
+        return self._seen(state)[0]
+
+    def _seen(self, state: State) -> tuple[Float, Float]:
+        """Compute the displacements of the facets as seen from the tool, and its rotation (collective)."""
         u = state.u_local
 
-        def make() -> Float:
+        def make() -> tuple[Float, Float]:
             moved = _sums(self._of, self._N[:, None] * u[self._facets.members], len(self._x))
-            return moved - self._tool.displacement(state.t, self.body.dim)
+            return self._tool.relative(self._x, moved, state.t)
 
-        return state.kept((self, "moved"), make)
+        return state.kept((self, "seen"), make)
 
     def _gap(self, state: State) -> tuple[Float, Float, Float]:
-        """Compute gap, normal and curvature of all facets (collective)."""
+        """Compute gap, normal and curvature of all facets as seen from the tool (collective)."""
         moved = self._moved(state)
         return state.kept((self, "gap"), lambda: self._tool.gap(self._x, moved))
 
@@ -155,13 +167,14 @@ class ContactForces(Term):
         return largest(self.body.cloud.comm, float(np.max(-g, initial=0.0)))
 
     def _touching(self, state: State) -> _Touching:
-        """Compute the tractions on the facets in contact (collective)."""
+        """Compute the tractions on the facets in contact, as seen from the tool (collective)."""
         gap, moved = self._gap(state), self._moved(state)
-        return state.kept((self, "touching"), lambda: self._tractions(moved, *gap))
+        return state.kept((self, "touching", self.version), lambda: self._tractions(moved, *gap))
 
     def _tractions(self, moved: Float, g: Float, n: Float, H: Float) -> _Touching:
-        rows = np.flatnonzero(g < 0.0)
-        n, H, p = n[rows], H[rows], -self._c * g[rows]
+        pressure = self._p - self._c * g
+        rows = np.flatnonzero(pressure > 0.0)
+        n, H, p = n[rows], H[rows], pressure[rows]
         nn = n[:, :, None] * n[:, None, :]
         traction = p[:, None] * n
         # Minus the derivative of p n.
@@ -184,16 +197,21 @@ class ContactForces(Term):
             traction = traction + share[:, None] * trial
         return _Touching(rows, traction, blocks)
 
+    def _in_space(self, state: State) -> _Touching:
+        """Compute the tractions on the facets in contact (collective)."""
+        touching, R = self._touching(state), self._seen(state)[1]
+        return _Touching(touching.rows, touching.traction @ R.T, R @ touching.blocks @ R.T)
+
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the tool."""
-        touching = self._touching(state)
+        touching = self._in_space(state)
         force = np.zeros_like(self._x)
         force[touching.rows] = self._area[touching.rows, None] * touching.traction
         np.add.at(f, self._facets.members, -self._N[:, None] * force[self._of])
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the blocks of the facets in contact."""
-        touching = self._touching(state)
+        touching = self._in_space(state)
         rows = touching.rows
         entry, ptr = entries_of(self._facets.point_ptr, rows)
         facets = StencilMembers(self._facets.owner[rows], ptr, self._facets.members[entry])
@@ -201,22 +219,43 @@ class ContactForces(Term):
         return [ContactProduct(facets, self.body.cloud.n_owned, self._N[entry], blocks)]
 
     def energy(self, state: State) -> float:
-        """Return ``sum_f |a_f| (p^2 / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
+        """Return ``sum_f |a_f| ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
         touching, n = self._touching(state), self._gap(state)[1]
         p = (touching.traction * n[touching.rows]).sum(axis=1)
         tau = (touching.traction**2).sum(axis=1) - p**2
-        return float(self._area[touching.rows] @ (p**2 + tau / STICKING) / (2.0 * self._c))
+        stored = self._area[touching.rows] @ (p**2 + tau / STICKING) - self._area @ self._p**2
+        return float(stored / (2.0 * self._c))
+
+    def settle(self, state: State) -> bool:
+        """Make the pressures the multipliers; return False if no facet penetrates or is pressed from afar.
+
+        The change of ``p0`` is the pressure of the penetration, or of the distance of a facet that is still pressed.
+        """
+        g, touching = self._gap(state)[0], self._touching(state)
+        off = np.maximum(-g, 0.0)
+        off[touching.rows] = np.abs(g[touching.rows])
+        if largest(self.body.cloud.comm, float(off.max(initial=0.0))) <= self._allowed:
+            return False
+        self._p = np.maximum(self._p - self._c * g, 0.0)
+        self.version += 1
+        return True
+
+    def revert_settled(self) -> None:
+        """Restore the multipliers of the last converged step."""
+        self._p = self._p0.copy()
+        self.version += 1
 
     def commit(self, state: State) -> None:
-        """Store the tangential tractions; raise SolveError if the tool penetrates the body too far."""
+        """Store tangential tractions and multipliers; raise SolveError if the tool penetrates the body too far."""
         deepest = self._deepest(state)
-        if deepest > DEEP * self._spacing:
+        if deepest > self._allowed * SLACK:
             raise SolveError(
                 f"The tool of {self._name} is {deepest / self._spacing:.2g} spacings deep in the body at step time "
-                f"{state.t:.6g}; raise its stiffness above {self._c:.3g}."
+                f"{state.t:.6g}; raise its stiffness above {self._c:.3g}, or its penetration."
             )
+        touching, n = self._touching(state), self._gap(state)[1]
+        self._p0[:] = self._p
         if self._mu > 0.0:
-            touching, n = self._touching(state), self._gap(state)[1]
             self._tau[:] = 0.0
             normal = n[touching.rows]
             along = (touching.traction * normal).sum(axis=1)[:, None] * normal
@@ -230,42 +269,46 @@ class ContactForces(Term):
         return self._mu > 0.0
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return tangential tractions and relative displacements at the last converged step."""
-        if self._mu == 0.0:
-            return {}
-        prefix = self._declared.name
-        return {
-            f"{prefix}_tau": KeptArray(self._facets.owner, self._tau),
-            f"{prefix}_slid": KeptArray(self._facets.owner, self._slid),
-        }
+        """Return multipliers, and tractions and displacements of friction, at the last converged step."""
+        found = {"p": self._p0} | ({"tau": self._tau, "slid": self._slid} if self._mu > 0.0 else {})
+        return {f"{self._declared.name}_{of}": KeptArray(self._facets.owner, values) for of, values in found.items()}
+
+    def restored(self) -> None:
+        """Continue with the multipliers of a checkpoint."""
+        self.revert_settled()
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
-        """Return the components of the force of the tool on the body, and the area in contact."""
-        prefix = self._declared.name
+        """Return the components of the force of the tool on the body, the area in contact and the penetration."""
+        prefix, comm = self._declared.name, self.body.cloud.comm
 
         def component(axis: int) -> Callable[[State], float]:
             def force(state: State) -> float:
-                touching = self._touching(state)
+                touching = self._in_space(state)
                 return float(self._area[touching.rows] @ touching.traction[:, axis])
 
             return force
 
+        def depth(state: State) -> float:
+            # The history sums over the ranks.
+            return self._deepest(state) / self._spacing if comm.rank == 0 else 0.0 * self._deepest(state)
+
         found = {f"{prefix}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
-        return found | {f"{prefix}_area": lambda state: float(self._area[self._touching(state).rows].sum())}
+        found[f"{prefix}_area"] = lambda state: float(self._area[self._touching(state).rows].sum())
+        return found | {f"{prefix}_depth": depth}
 
     def of_facets(self, state: State) -> tuple[Float, Float, Float]:
         """Return positions, tractions and areas of the facets of this rank in contact (collective).
 
         (m, dim) [length], (m, dim) [stress] and (m,) [area].
         """
-        touching = self._touching(state)
+        touching = self._in_space(state)
         return self._x[touching.rows], touching.traction, self._area[touching.rows]
 
     def fields(self) -> Mapping[str, Callable[[State], Float]]:
         """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
 
         def traction(state: State) -> Float:
-            touching, owner = self._touching(state), self._facets.owner
+            touching, owner = self._in_space(state), self._facets.owner
             values = np.zeros((self.body.cloud.n_owned, self.body.dim))
             np.add.at(values, owner[touching.rows], self._area[touching.rows, None] * touching.traction)
             area = np.bincount(owner, self._area, len(values))

@@ -14,14 +14,18 @@ E, NU = 1000.0, 0.3
 PRESS = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.0, -0.05))
 
 
-def block(tool=PRESS, friction=0.0, unit=1.0, modulus=E, **changes):
+def block(tool=PRESS, friction=0.0, unit=1.0, modulus=E, penetration=0.01, **changes):
     """Return half of a block of 4 x 1, on rollers below, that a tool presses from above."""
     if unit != 1.0:
         tool = dataclasses.replace(tool, point=[unit * x for x in tool.point], move=[unit * x for x in tool.move])
     case = pd.Case(
         particles=pd.LatticeNodes((0.0, 0.0), (2.0 * unit, unit), 0.125 * unit),
         material=pd.LinearElastic(E=modulus, nu=NU, plane="stress"),
-        conditions=[pd.Roller("-x"), pd.Roller("-y"), pd.Contact("+y", tool, friction, name="tool")],
+        conditions=[
+            pd.Roller("-x"),
+            pd.Roller("-y"),
+            pd.Contact("+y", tool, friction, penetration=penetration, name="tool"),
+        ],
         history={"top": pd.Mean(pd.displacement, "y", "+y"), "right": pd.Mean(pd.displacement, "x", "+x")},
         fields=[pd.displacement, pd.stress],
         steps=pd.Steps(2),
@@ -33,11 +37,12 @@ def block(tool=PRESS, friction=0.0, unit=1.0, modulus=E, **changes):
 def test_a_plane_presses_uniformly(cells, tmp_path):
     """Uniaxial stress: forces on facets are in equilibrium with it, on nodes to round-off."""
     particles = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125) if cells else block().particles
-    run = pd.run(block(particles=particles, weights=pd.Conforming(), horizon=0.125 * 2.015), tmp_path)
+    case = block(penetration=1e-7, particles=particles, weights=pd.Conforming(), horizon=0.125 * 2.015)
+    run = pd.run(case, tmp_path)
     stress = run.field("stress")
-    # The tool is 1e-3 of its way in the body: the penalty is a hundred times as stiff as a cell.
     strain = run.history["tool_y"][-1] / 2.0 / E
-    assert strain == pytest.approx(-0.05, rel=3e-3)
+    assert strain == pytest.approx(-0.05, rel=1e-6)
+    assert 0.0 <= run.history["tool_depth"][-1] <= 1e-7
     np.testing.assert_allclose(stress[:, 1, 1], E * strain, rtol=1e-7)
     np.testing.assert_allclose(stress[:, 0, 0], 0.0, atol=1e-7 * E)
     assert run.history["tool_area"][-1] == pytest.approx(2.0)
@@ -123,6 +128,121 @@ def test_ranks_and_matrix_free_solves_agree(tmp_path):
         assert other == pytest.approx(one, rel=1e-6), name
 
 
+def cube(side=2.0, x=1.0, y=1.0, z=1.0):
+    """Return vertices and triangles of a cube around a point, all turned outwards."""
+    corners = np.array([(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], dtype=float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [part for a, b, c, d in quads for part in ((a, b, c), (a, c, d))]
+    return 0.5 * side * corners + (x, y, z), triangles
+
+
+def tools_with_distances():
+    """Return tools that are the same box or ball, written in two ways, and points around them."""
+    square = pd.RigidSurface([(0.0, 0.0), (0.0, 2.0), (2.0, 2.0), (2.0, 0.0)])
+    angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
+    disc = pd.RigidSurface(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    points, triangles = cube()
+    soup = np.array(points)[np.array(triangles)].reshape(-1, 3)
+    return {
+        "square": (square, pd.RigidBox((0.0, 0.0), (2.0, 2.0)), 0.9, 1e-12),
+        "disc": (disc, pd.RigidSphere((0.0, 0.0), 1.0), 0.9, 2e-3),
+        "cube": (pd.RigidSurface(points, triangles), pd.RigidBox((0.0,) * 3, (2.0,) * 3), 0.9, 1e-12),
+        "soup": (
+            pd.RigidSurface(soup, np.arange(len(soup)).reshape(-1, 3)),
+            pd.RigidBox((0.0,) * 3, (2.0,) * 3),
+            0.9,
+            1e-12,
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", ["square", "disc", "cube", "soup"])
+def test_a_surface_has_the_distance_of_its_shape(name, rng):
+    surface, exact, inside, off = tools_with_distances()[name]
+    dim = 2 if name in ("square", "disc") else 3
+    surface.check(dim)
+    x = rng.uniform(-0.5, 2.5, (3000, dim)) if name != "disc" else rng.uniform(-1.5, 1.5, (3000, 2))
+    u = 0.1 * rng.uniform(-1.0, 1.0, x.shape)
+    g, n, _ = surface.gap(x, u)
+    h, m, _ = exact.gap(x, u)
+    assert (np.sign(g) == np.sign(h)).mean() > 0.999
+    within = (h < 0.0) & (h > -inside)
+    np.testing.assert_allclose(g[within], h[within], atol=off)
+    np.testing.assert_allclose((n * m).sum(axis=1)[within], 1.0, atol=off)
+    # Outside the distance is at most that of the shape, and positive.
+    assert (g[h > off] > 0.0).all() and (g[h > off] <= h[h > off] + off).all()
+
+
+def test_a_hollow_in_a_surface_is_found(rng):
+    """A polygon with a corner that points inwards: distance and normal by all of its segments."""
+    notch = pd.RigidSurface([(-2.0, 0.0), (0.0, -1.0), (2.0, 0.0), (2.0, -3.0), (-2.0, -3.0)])
+    g, n, H = notch.gap(np.array([(0.0, -0.5), (0.0, -1.2), (1.0, -0.4)]), np.zeros((3, 2)))
+    slope = np.array([1.0, 2.0]) / np.sqrt(5.0)
+    assert g[0] == pytest.approx(0.5 * 2.0 / np.sqrt(5.0))
+    assert g[1] < 0.0 and n[1] == pytest.approx([0.0, 1.0]) and H[1, 0, 0] != 0.0
+    assert g[2] == pytest.approx(0.1 * 2.0 / np.sqrt(5.0)) and n[2] == pytest.approx(slope * (-1.0, 1.0))
+
+
+@pytest.mark.parametrize("tool", ["box", "turned", "polygon"])
+def test_curvature_is_the_change_of_the_normal(tool, rng):
+    declared = {
+        "box": pd.RigidBox((0.0, 0.0, 0.0), (2.0, 2.0, 1.0), 0.3),
+        "turned": pd.RigidCylinder((0.0, 0.0, 0.0), (1.0, 2.0, 0.5), 0.7, hollow=True),
+        "polygon": pd.RigidSurface([(-2.0, 0.0), (0.0, 1.0), (2.0, 0.0), (0.0, -5.0)]),
+    }[tool]
+    dim = 2 if tool == "polygon" else 3
+    x = rng.uniform(-1.0, 3.0, (500, dim))
+    if tool == "polygon":
+        x = rng.uniform((-0.3, 1.0), (0.3, 1.0), (500, 2)) + rng.uniform(-0.05, 0.0, (500, 1)) * (0.0, 1.0)
+    h, du = 1e-7, rng.uniform(-1.0, 1.0, (500, dim))
+    _, n, H = declared.gap(x, 0.0 * x)
+    (ahead, m, _), (behind, k, _) = declared.gap(x, h * du), declared.gap(x, -h * du)
+    slope, turned = (ahead - behind) / (2.0 * h), (m - k) / (2.0 * h)
+    smooth = np.linalg.norm(turned, axis=1) < 1e3
+    assert smooth.mean() > 0.98
+    np.testing.assert_allclose(slope[smooth], (n * du).sum(axis=1)[smooth], atol=1e-6)
+    np.testing.assert_allclose(turned[smooth], np.einsum("pij,pj->pi", H, du)[smooth], atol=2e-4)
+
+
+def test_a_turning_tool_drags_the_block(tmp_path):
+    """A roller that turns about its middle while it presses: it slides, with mu times the normal force."""
+    roller = pd.RigidSphere((1.0, 3.0), 2.0, move=(0.0, -0.02), turn=0.5, about=(1.0, 3.0))
+    fixed = [pd.Clamp("-y"), pd.Contact("+y", roller, 0.2, name="tool")]
+    history = pd.run(block(roller, 0.2, conditions=fixed, steps=pd.Steps(4)), tmp_path).history
+    # It turns anticlockwise: its lowest point moves to the right.
+    # Normals differ by up to 0.1 from the vertical.
+    assert history["tool_x"][-1] == pytest.approx(-0.2 * history["tool_y"][-1], rel=0.02)
+    assert history["tool_y"][-1] < -1.0
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_scene_that_turns_with_its_tool_has_the_same_forces(dim, rng):
+    """A displacement and a tool that are turned together: forces turn with them, with friction."""
+    low, high = (0.0,) * dim, (1.0,) * (dim - 1) + (0.5,)
+    side, up = ("-y", "+y") if dim == 2 else ("-z", "+z")
+    middle = (0.5,) * (dim - 1) + (1.0,)
+    turn = 0.4 if dim == 2 else (0.3, -0.2, 0.5)
+    found = []
+    for turned in (False, True):
+        tool = pd.RigidSphere(middle, 0.5, turn=turn if turned else (), about=(0.2,) * dim)
+        material = pd.NeoHookean(E=E, nu=NU)
+        conditions = [pd.Clamp(side), pd.Contact(up, tool, 0.3)]
+        problem = pd.prepare(
+            pd.Case(particles=pd.LatticeNodes(low, high, 0.125), material=material, conditions=conditions)
+        ).problem
+        (term,) = (one for one in problem.terms if type(one).__name__ == "ContactForces")
+        cloud = problem.body.cloud
+        x, R = cloud.x[: cloud.n_owned], tool.motion(1.0, dim)[0]
+        du = 0.01 * np.random.default_rng(3).uniform(-1.0, 1.0, x.shape)
+        du[:, -1] += 0.01
+        u = (x + du - tool.about) @ R.T + tool.about - x
+        f = np.zeros((cloud.n_local, dim))
+        term.add_force(problem.state(u, 1.0), f)
+        found.append(f @ R)
+    assert np.abs(found[0]).max() > 0.1
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+
+
 def test_friction_goes_on_from_a_checkpoint(tmp_path):
     case = block(dataclasses.replace(PRESS, move=(0.05, -0.05)), 0.3, steps=pd.Steps(4))
     whole = pd.run(case, tmp_path / "whole").history
@@ -156,8 +276,8 @@ def test_a_block_is_dragged_with_the_coefficient_of_friction(tmp_path):
 def test_what_contact_cannot_do_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="overlaps the body by"):
         pd.prepare(block(pd.RigidPlane((0.0, 0.9), (0.0, -1.0))))
-    with pytest.raises(pd.SolveError, match="spacings deep in the body"):
-        soft = [pd.Roller("-x"), pd.Roller("-y"), pd.Contact("+y", PRESS, stiffness=E)]
+    with pytest.raises(pd.SolveError, match="deeper in the body than its contact allows"):
+        soft = [pd.Roller("-x"), pd.Roller("-y"), pd.Contact("+y", PRESS, stiffness=1e-3 * E)]
         pd.run(block(conditions=soft), tmp_path)
     with pytest.raises(pd.CaseError, match="rigid motions"):
         pd.prepare(block(conditions=[pd.Roller("-x"), pd.Contact("+y", PRESS)]))
@@ -167,10 +287,43 @@ def test_what_contact_cannot_do_is_refused(tmp_path):
         pd.prepare(block(dataclasses.replace(PRESS, move=(0.0, 0.0, 0.0))))
     with pytest.raises(pd.CaseError, match="bodies in space"):
         pd.prepare(block(pd.RigidCylinder((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0)))
+    with pytest.raises(pd.CaseError, match="turns about a point of 2 numbers, not 0"):
+        pd.prepare(block(dataclasses.replace(PRESS, turn=0.1)))
+    with pytest.raises(pd.CaseError, match="turns by 3 numbers in 2 dimensions; give an angle"):
+        pd.prepare(block(dataclasses.replace(PRESS, turn=(0.0, 0.0, 0.1), about=(0.0, 0.0))))
+    points, triangles = cube()
+    with pytest.raises(pd.CaseError, match="is open"):
+        pd.RigidSurface(points, triangles[1:])
+    with pytest.raises(pd.CaseError, match="is open"):
+        pd.RigidSurface(points, [triangles[0][::-1], *triangles[1:]])
+    with pytest.raises(pd.CaseError, match="sides of"):
+        pd.prepare(block(pd.RigidBox((0.0, 1.0), (1.0, 1.1), radius=0.2)))
+
+
+def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
+    """A box as triangles of an STL file, which repeats its vertices, in another unit, against a RigidBox."""
+    import meshio
+
+    points, triangles = cube(500.0, 250.0, 250.0, 850.0)
+    path = tmp_path / "tool.stl"
+    meshio.Mesh(points, [("triangle", np.array(triangles))]).write(path)
+    box = pd.RigidBox((0.0, 0.0, 0.6), (0.5, 0.5, 1.1), move=(0.02, 0.0, -0.12))
+    stl = pd.RigidSurface.read(path, 1e-3, move=box.move)
+    found = []
+    for number, tool in enumerate((box, stl)):
+        case = pd.Case(
+            particles=pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 0.5), 0.25),
+            material=pd.LinearElastic(E=E, nu=NU),
+            conditions=[pd.Clamp("-z"), pd.Contact("+z", tool, 0.2, name="tool")],
+        )
+        history = pd.run(case, tmp_path / str(number)).history
+        found.append([history[f"tool_{axis}"][-1] for axis in "xyz"])
+    assert found[0][2] < -1.0
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-6)
 
 
 def test_a_cylinder_presses_as_hertz_says(tmp_path):
     found = results("runs/contact/roller.py", "n=40", "radius=8.0", output=tmp_path)["results"]
     assert found["half_width_over_hertz"] == pytest.approx(1.0, abs=0.03)
-    assert found["peak_over_hertz"] == pytest.approx(1.0, abs=0.06)
-    assert found["pressure_error"] < 0.08
+    assert found["peak_over_hertz"] == pytest.approx(1.0, abs=0.02)
+    assert found["pressure_error"] < 0.03

@@ -39,6 +39,7 @@ from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
     BodyForce,
     Displacement,
+    FollowerPressure,
     Force,
     MeanStrain,
     MeanStress,
@@ -181,6 +182,7 @@ __all__ = [
     "ExternalWork",
     "ExtraTerm",
     "Facets",
+    "FollowerPressure",
     "Force",
     "FractureEnergy",
     "Graded",

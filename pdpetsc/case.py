@@ -312,8 +312,8 @@ class Case(Declared):
         for name, duration in given[1:]:
             if duration != given[0][1]:
                 raise CaseError(
-                    f"One time goes by from step time 0 to 1, and {given[0][0]} has a duration of {given[0][1]:g} "
-                    f"where {name} has {duration:g}; give both the same."
+                    f"`duration` differs: {given[0][0]} has {given[0][1]:g}, {name} has {duration:g}. Use one value "
+                    "for the case."
                 )
 
     def _check_temperatures(self) -> None:
@@ -322,8 +322,8 @@ class Case(Declared):
             lacking = [number for number, one in enumerate(self.thermals, 1) if one is None]
             if lacking:
                 raise CaseError(
-                    f"What drives damage reads the temperature, and material {lacking[0]} has none; wrap it in "
-                    f"Thermal, and give a Temperature or HeatConduction."
+                    f"The damage criterion requires a temperature, and material {lacking[0]} has none. Wrap the "
+                    "material in Thermal, and add a Temperature or HeatConduction."
                 )
 
     def _check_signatures(self) -> None:
@@ -348,7 +348,8 @@ class Case(Declared):
                 )
         if self.expect and self.results is None:
             raise CaseError(
-                f"The case expects a result {next(iter(self.expect))!r} and has none; give results=lambda h: {{...}}."
+                f"`expect` names the result {next(iter(self.expect))!r}, and the case has no `results`. Add "
+                f"results=lambda h: {{...}}."
             )
         for name, value in self.options.items():
             if not name or name.startswith("-") or len(name.split()) != 1:
@@ -360,8 +361,8 @@ class Case(Declared):
             name = name_of(function) if hasattr(function, "__name__") else ""
             if not (name.isidentifier() and name.isascii()):
                 raise CaseError(
-                    f"A field has no name that a file could hold ({name or shown(function)}); define it with def, or "
-                    f"give the fields as a mapping of names to functions."
+                    f"A field has no name for files ({name or shown(function)}). Define it with def, or give "
+                    f"fields={{name: function}}."
                 )
             if name in named or name in _ATTRIBUTES:
                 raise CaseError(f"Two fields are named {name!r}, or files have it anyway; give one another name.")
@@ -369,25 +370,24 @@ class Case(Declared):
 
     def _check_formulation(self) -> None:
         if any(law.closes for law in self.damage_laws) and not self.of_bonds:
-            raise CaseError(
-                "Cracks that close (closes=True) take bond-based materials: a broken bond has left its gradient, which "
-                "does not tell whether its ends touch; take BondBased, or leave closes out."
-            )
+            raise CaseError("closes=True requires bond-based materials. Use BondBased, or leave closes out.")
         if any(getattr(law, "strength", None) is not None for law in self.damage_laws) and not self.of_bonds:
             raise CaseError(
                 "LinearSoftening has a strength for bond-based materials only; use PointDamage(curve, Gc=, strength=)."
             )
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
-                raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
+                raise CaseError(
+                    "The case mixes bond-based materials and materials of deformation gradients. Use one kind."
+                )
             weights = self.weights if self.weights is not None and self.weights.required else None
             for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
             if self.damage is not None and self.damage.point_laws:
                 raise CaseError(
-                    "PointDamage is for deformation gradients; a body of bonds takes a law of bonds, such as "
-                    "LinearSoftening."
+                    "PointDamage requires materials of deformation gradients. For bond-based materials use a law of "
+                    "bonds, such as LinearSoftening."
                 )
             reversible = [law.effect for law in self.damage_laws if law.effect.reversible]
             if reversible:

@@ -97,7 +97,7 @@ def split(argv: Sequence[str], syntax: Syntax = RUN, name: str = "pdpetsc") -> A
         word = words.pop(0)
         if word in syntax.valued:
             if not words:
-                raise CaseError(f"{word} needs a value after it.")
+                raise CaseError(f"{word} requires a value after it.")
             if word in found.values and word not in REPEATED:
                 raise CaseError(f"{word} is given twice.")
             found.values.setdefault(word, []).append(words.pop(0))

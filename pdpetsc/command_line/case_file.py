@@ -87,7 +87,7 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
         raise
     except SystemExit as error:
         raise CaseError(
-            f"The case file {path} called sys.exit{_line_of(path, error)}; it must not end the run."
+            f"The case file {path} called sys.exit{_line_of(path, error)}. Raise an error, or return the case."
         ) from error
     except SyntaxError as error:
         inside = error.filename is None or Path(error.filename).name == path.name

@@ -47,7 +47,7 @@ def run(path: Path, arguments: Arguments) -> int:
         missing = "--to" if to is None else "--columns"
         raise CaseError(f"fit needs {missing}; python -m pdpetsc fit -h shows the usage.")
     if len(columns) != 2 or not all(columns):
-        raise CaseError(f"--columns takes two names, place and value, not {arguments.value('--columns')!r}.")
+        raise CaseError(f"--columns requires two names, place and value, not {arguments.value('--columns')!r}.")
     ranges, fixed = {}, {}
     for name, text in arguments.parameters.items():
         if found := _RANGE.fullmatch(text):
@@ -88,7 +88,7 @@ def _show(console: Console, done: Fit, folder: Path) -> None:
         f"residual {done.rms:.3g} (root mean square), {done.explained:.6f} of the variance explained"
         + (f", chi squared per degree of freedom {done.chi2:.3g}" if done.chi2 is not None else "")
     )
-    console.print(f"{done.runs} runs, {done.failed} of them without a curve; the best one is {done.best}")
+    console.print(f"{done.runs} runs, {done.failed} of them without a curve; best run: {done.best}")
     for note in done.notes:
         console.print(f"pdpetsc: {note}.")
     console.print(f"parameters in {folder / 'fit.json'}, curves in {folder / 'fit.csv'}")

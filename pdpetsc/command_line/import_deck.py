@@ -89,11 +89,11 @@ def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
     for name, translate in (("Peridigm", peridigm.translate), ("PeriLab", perilab.translate)):
         if name in root.sections:
             if len(root.sections) + len(root.entries) > 1:
-                raise CaseError(f"The deck {deck} has more beside {name}; put all of it below {name}.")
+                raise CaseError(f"The deck {deck} has other sections beside {name}. Put all of them below {name}.")
             return translate, root.sections[name]
     if "Materials" in root.sections and "Blocks" in root.sections:
         return peridigm.translate, root
-    raise CaseError(f"{deck} is no deck of Peridigm or PeriLab: it begins with {', '.join([*root.sections][:3])}.")
+    raise CaseError(f"{deck} is not a deck of Peridigm or PeriLab: it begins with {', '.join([*root.sections][:3])}.")
 
 
 def _write(path: Path, text: str, overwrite: bool) -> None:

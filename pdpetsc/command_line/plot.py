@@ -53,7 +53,7 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
     except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
         what = " ".join(str(error).split()) or type(error).__name__
         raise CaseError(
-            f"{folder} holds files that are damaged, not of a run, or cannot be written: {what}."
+            f"{folder} cannot be drawn, because a file is damaged, not of a run, or cannot be written: {what}."
         ) from error
 
 
@@ -80,7 +80,7 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
             drawn.append(folder / f"deformed.{kind}")
             draw_film(folder, drawn[-1], field, component, scale, _title(folder))
     elif animate:
-        raise CaseError(f"{folder} holds no fields to make a film of.")
+        raise CaseError(f"{folder} has no fields.h5 for a film. Add fields to the case and repeat the run.")
     drawn += _history(folder, summary, given.get("x", "t"), given.get("y"))
     drawn.append(save(newton_figure(summary), folder / "newton.png"))
     return drawn

@@ -23,6 +23,6 @@ def run(path: Path, arguments: Arguments) -> int:
     if not math.isfinite(scale):
         raise CaseError(f"scale takes a number, not {given['scale']}.")
     if "component" in given and "field" not in given:
-        raise CaseError("report takes a component of a field; give the field besides.")
+        raise CaseError(f"component={given['component']} requires the field as well: field=NAME component=xx.")
     print(write_report(path, given.get("field"), given.get("component", ""), scale))
     return 0

@@ -89,7 +89,7 @@ def watched(arguments: Arguments, folder: Path, title: str, console: Console) ->
                 "retry": "--retry" in arguments.flags, "progress": RunLog(bar, title),
             }  # fmt: skip
     except KeyboardInterrupt:
-        raise Interrupted(f"Stopped; the same command goes on with what {folder} holds.") from None
+        raise Interrupted(f"Stopped. The same command continues with the finished runs in {folder}.") from None
 
 
 def run_study(case: Path, arguments: Arguments, name: str) -> None:
@@ -110,7 +110,7 @@ def run_study(case: Path, arguments: Arguments, name: str) -> None:
     order, exact = arguments.value("--order"), arguments.value("--exact")
     expected = "--expected" in arguments.flags
     if order is None and (exact is not None or expected):
-        raise CaseError("--exact and --expected are for --order NAME, which says along which parameter.")
+        raise CaseError("--exact and --expected require --order NAME, the parameter to refine.")
     refine = None if order is None else Refinement(order, numbers_of(exact or "", "--exact"), expected)
     folder = arguments.output or Path("out") / f"{name}_{case.stem}"
     console = table_console()
@@ -133,9 +133,8 @@ def run_study(case: Path, arguments: Arguments, name: str) -> None:
     if done.failed:
         first = done.failed[0]
         raise SolveError(
-            f"{len(done.failed)} of {len(done.outcomes)} runs failed, the first one, {first.name}, with exit status "
-            f"{first.exit_status}: {first.said.rstrip('.')}; all are in {folder / f'{name}.csv'}, and --retry runs "
-            f"them again."
+            f"{len(done.failed)} of {len(done.outcomes)} runs failed. The first, {first.name}, has exit status "
+            f"{first.exit_status}: {first.said.rstrip('.')}. All are in {folder / f'{name}.csv'}; --retry repeats them."
         )
 
 
@@ -159,12 +158,12 @@ class RunLog(Progress):
 
     def again(self, run: PlannedRun, why: str) -> None:
         """Print why a run is repeated."""
-        self._bar.console.print(f"{named(run.parameters) or 'the case'} is run again: {why}")
+        self._bar.console.print(f"{named(run.parameters) or 'the case'} is repeated: {why}")
 
     def started(self, run: PlannedRun) -> None:
         """Print the number of earlier runs."""
         if self._earlier:
-            self._bar.console.print(f"{self._earlier} runs are there from before")
+            self._bar.console.print(f"{self._earlier} finished runs of an earlier study are used")
             self._earlier = 0
 
     def kept(self, outcome: Outcome) -> None:

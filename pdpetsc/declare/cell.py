@@ -53,7 +53,10 @@ class Cell(Declared):
             raise CaseError(f"The axes of this Cell are letters of {letters!r}, not {self.axes!r}.")
         for axis in self.periodic:
             if not (np.isfinite([low[axis], high[axis]]).all() and high[axis] > low[axis]):
-                raise CaseError(f"Side {'xyz'[axis]} of the Cell goes from {low[axis]:g} to {high[axis]:g}.")
+                raise CaseError(
+                    f"Side {'xyz'[axis]} of the Cell goes from {low[axis]:g} to {high[axis]:g}. Its high must be "
+                    "finite and above its low."
+                )
 
     @property
     def dim(self) -> int:

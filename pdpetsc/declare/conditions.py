@@ -68,7 +68,10 @@ class VectorCondition(Condition):
         if not given:
             raise CaseError(f"A {name} condition needs at least one of its components x, y, z.")
         if given[-1][0] >= dim:
-            raise CaseError(f"A {name} condition gives component {'xyz'[given[-1][0]]} of a {dim}-dimensional body.")
+            raise CaseError(
+                f"A {name} condition has component {'xyz'[given[-1][0]]}, and the body has {dim} dimensions. Leave the "
+                "component out."
+            )
         return given
 
     def value(self, component: Value, x: Float, t: float) -> Float:
@@ -242,7 +245,8 @@ class Traction(VectorCondition):
         super().__post_init__()
         if self.area is not None and self.on_surface:
             raise CaseError(
-                "A Traction on the surface takes no area: it is that of its facets; give a normal for a layer."
+                "A Traction on the surface has no `area`, because its facets have areas. Leave area out, or give a "
+                "normal for a layer of particles."
             )
 
     @property
@@ -293,6 +297,39 @@ class SurfacePressure(Condition):
         return values_of(type(self).__name__, self.value, self.schedule, x, t)
 
 
+@dataclass(frozen=True)
+class FollowerPressure(SurfacePressure):
+    """Pressure on the deformed surface: on each facet ``-p a`` with its deformed vector area ``a = cof(F) A``.
+
+    The tangent includes the change of the areas. It is not symmetric unless the surface is closed or its edge is held,
+    and of a discrete surface only nearly; the solver treats it as unsymmetric. The thickness of a plane body does not
+    change.
+
+    Parameters
+    ----------
+    region : Region
+        The facets of the surface in the region, or their tag.
+    value : float or callable
+        ``p`` [stress]: a number, multiplied by the schedule, or a function of reference positions (n, dim) and load
+        parameter.
+    schedule : callable, optional
+        As for ``Displacement``.
+
+    References
+    ----------
+    Bonet2008, section 8.5 (pressure, and its tangent).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> inflated = pd.FollowerPressure(pd.region.Sphere((0.0, 0.0), 1.01), 0.3)
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the pressure."""
+        onto.follower_pressure(self, name)
+
+
 def Pressure(
     region: Region,
     value: Value,
@@ -301,7 +338,7 @@ def Pressure(
     schedule: Schedule | None = None,
     area: float | None = None,
 ) -> Traction | SurfacePressure:
-    """Return the dead traction ``-value n`` of a pressure [stress] on a surface.
+    """Return the dead traction ``-value n`` of a pressure [stress] on a surface; see also ``FollowerPressure``.
 
     Without a normal it acts on every facet of the region along the normal of the facet, on any surface. With a normal
     ``n`` it is a ``Traction`` with these other arguments.
@@ -316,7 +353,10 @@ def Pressure(
     """
     if not len(normal) and distribution in (None, "surface"):
         if area is not None:
-            raise CaseError("A Pressure on the surface takes no area: it is that of its facets.")
+            raise CaseError(
+                "A Pressure on the surface has no `area`, because its facets have areas. Leave area out, or give a "
+                "normal for a layer of particles."
+            )
         return SurfacePressure(region, value, schedule)
     if callable(value):
         raise CaseError("A Pressure that is a function acts on the surface; leave its normal out.")

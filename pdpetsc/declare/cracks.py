@@ -234,4 +234,7 @@ def _point(values: Sequence[float] | Float, dim: int, name: str) -> Float:
 
 def _same(a: Float, dim: int, name: str) -> None:
     if a.shape[1] != dim:
-        raise CaseError(f"A {name} cuts bodies in {dim}D; this one has {a.shape[1]} coordinates.")
+        raise CaseError(
+            f"A {name} requires a body in {dim}D, and this body is in {a.shape[1]}D. Use Segment or Polyline in 2D, "
+            "PlaneCrack, Disc or PolygonCrack in 3D."
+        )

@@ -77,8 +77,8 @@ def middles(
     far = np.flatnonzero((off[best] > _FAR).any(axis=1))
     if len(far):
         raise CaseError(
-            f"{len(far)} quadratic cells of kind {kind} have nodes that are not near the middles of their edges, the "
-            f"first at {points[nodes[far[0], :n_corners]].mean(axis=0)}: their nodes are in an order that is not known"
+            f"{len(far)} quadratic cells of kind {kind} have nodes far from the middles of their edges, the first at "
+            f"{points[nodes[far[0], :n_corners]].mean(axis=0)}. Reorder their nodes, or use linear cells."
         )
     middle = {frozenset(edge): n_corners + k for k, edge in enumerate(orders[best])}
     rest = nodes[:, n_corners + count :]

@@ -51,9 +51,9 @@ class Expected(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.relative is None) == (self.absolute is None):
-            raise CaseError("Expected takes one tolerance, relative=... or absolute=....")
+            raise CaseError("Expected requires one tolerance: relative=... or absolute=....")
         if self.relative is not None and self.value == 0.0:
-            raise CaseError("Nothing is relative to an Expected value of 0; give absolute=....")
+            raise CaseError("An Expected value of 0 has no relative tolerance. Use absolute=....")
         if not self.source.strip() or len(self.source.splitlines()) > 1:
             raise CaseError('Expected takes its source in one line, as source="closed form of ...".')
 

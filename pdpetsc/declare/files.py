@@ -191,17 +191,20 @@ class Mesh(Particles):
         mesh = read_mesh(Path(self.path), self.format) if given is None else given
         if _of_spheres(mesh):
             raise CaseError(
-                f"{self.path} has spheres, whose faces and corners are not known; give tractions a normal and an area, "
-                f"and take pd.Mesh and pd.Standard() weights."
+                f"{self.path} has spheres, which have no faces and corners. Use pd.Mesh with weights=pd.Standard(), "
+                "and give tractions a normal and an area."
             )
         dim = max((block.dim for block in mesh.blocks if len(block.nodes)), default=0)
         if dim == 0:
-            raise CaseError(f"{self.path} has no cells that particles can be made of.")
+            raise CaseError(
+                f"{self.path} has no cells for particles. Save the lines, surfaces or volumes of the body with the "
+                "mesh."
+            )
         points = without_constant(mesh.points, dim)
         if points.shape[1] != dim:
             raise CaseError(
-                f"{self.path} has cells of {dim} dimensions that do not lie in the plane of x and y, or on a line "
-                f"along x; turn the mesh."
+                f"{self.path} has cells of {dim} dimensions that are not in a plane of constant z, or on a line along "
+                "x. Turn the mesh."
             )
         return mesh, points, [block for block in mesh.blocks if block.dim == dim]
 
@@ -263,10 +266,13 @@ class MeshNodes(Mesh):
         Raises
         ------
         CaseError
-            There are cracks: nobody knows the faces between the dual cells.
+            There are cracks: the faces between the dual cells are unknown.
         """
         if cracks:
-            raise CaseError("Cracks need the faces between cells, which those of mesh nodes do not have; take a Mesh.")
+            raise CaseError(
+                "MeshNodes has no faces of cracks, as conforming weights and surface loads need. Use a Mesh with the "
+                "cracks."
+            )
         mesh, points, blocks = self._cells()
         found = facets(points, blocks)
         free = np.flatnonzero(found.free)
@@ -302,14 +308,13 @@ def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tu
             wrong = np.flatnonzero(tangled(points, block))
         if len(wrong) and not len(none):
             raise CaseError(
-                f"{len(wrong)} cells of kind {block.kind} in {path} are turned inside out at a corner, the first at "
-                f"{points[block.corners[wrong[0]]].mean(axis=0)}: their nodes are in a wrong order, or too far out of "
-                f"place."
+                f"{len(wrong)} cells of kind {block.kind} in {path} are inverted at a corner, the first at "
+                f"{points[block.corners[wrong[0]]].mean(axis=0)}. Reorder their nodes, or repair the mesh."
             )
         if len(none):
             raise CaseError(
                 f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
-                f"{points[block.corners[none[0]]].mean(axis=0)}."
+                f"{points[block.corners[none[0]]].mean(axis=0)}. Remove them, or repair the mesh."
             )
         volumes.append(np.abs(volume))
         centroids.append(x)

@@ -48,6 +48,8 @@ class Horizon(Declared):
     ratio: Positive
 
 
+# Least horizon over spacing: the nearest particles of a lattice, with a margin for rounding.
+LEAST_RATIO = 1.015
 # One length for all particles, spacings, a function of positions (n, dim) that returns lengths (n,), or one length
 # each.
 AnyHorizon: TypeAlias = float | Horizon | Callable[[Float], Float] | NDArray[Any]
@@ -69,12 +71,18 @@ def check_horizon(horizon: AnyHorizon, spacing: float) -> None:
             )
     elif isinstance(horizon, Horizon):
         if horizon.ratio < 1.0 - 1e-9:
-            raise CaseError(f"A Horizon of {horizon.ratio:g} spacings is below one; families would be empty.")
+            raise CaseError(
+                f"The ratio of Horizon is {horizon.ratio:g}, below one spacing: families would be empty. Use at least "
+                f"{LEAST_RATIO}, or leave `horizon` out."
+            )
     elif not callable(horizon):
         if not (math.isfinite(horizon) and horizon > 0.0):
-            raise CaseError(f"The horizon must be positive, not {horizon}.")
+            raise CaseError(f"`horizon` must be positive and finite, not {horizon}.")
         if horizon < spacing * (1.0 - 1e-9):
-            raise CaseError(f"The horizon {horizon:g} is below the spacing {spacing:g}; families would be empty.")
+            raise CaseError(
+                f"The horizon {horizon:g} is below the spacing {spacing:g}: families would be empty. Use at least "
+                f"{LEAST_RATIO * spacing:g}, {LEAST_RATIO} spacings, or leave `horizon` out."
+            )
 
 
 def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thickness: float) -> float | Float:

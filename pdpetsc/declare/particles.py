@@ -83,9 +83,9 @@ class Particles(Declared, ABC):
             The particles do not know the faces of their cells.
         """
         raise CaseError(
-            f"Particles of {type(self).__name__} have no known surface, which conforming weights and tractions on a "
-            f"surface need; take a Lattice or a Mesh, give Arrays(..., facets=pd.Facets(...)), or take pd.Standard() "
-            f"weights and give the Traction a normal and the area of its face."
+            f"{type(self).__name__} has no known surface, as conforming weights and surface loads need. Use a Lattice "
+            "or a Mesh, give facets=pd.Facets(...), or use weights=pd.Standard() and give each Traction a normal and "
+            "an area."
         )
 
     def stairs(self, part: int, parts: int) -> int:
@@ -198,14 +198,18 @@ class Lattice(Particles):
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
-                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long, not a whole number."
+                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g}, not a whole number. Choose "
+                    "a spacing that divides every side."
                 )
         sides = list(SIDES[: 2 * len(low)])
         for side, depth in self.fictitious.items():
             if side not in sides:
                 raise CaseError(f"A Lattice of {len(low)} dimensions has the sides {sides}, not {side!r}.")
             if not (math.isfinite(depth) and depth >= self.spacing * (1.0 - WHOLE_CELLS)):
-                raise CaseError(f"The fictitious layer {side} is {depth:g} deep, less than one spacing.")
+                raise CaseError(
+                    f"The fictitious layer {side} is {depth:g} deep, less than one spacing of {self.spacing:g}. Use at "
+                    "least one spacing."
+                )
 
     @property
     def dim(self) -> int:
@@ -367,7 +371,10 @@ class LatticeNodes(Particles):
             There are cracks: they cut bonds between corners, and free no face of a cell.
         """
         if cracks:
-            raise CaseError("Cracks need the faces between cells, which corners do not have; take a Lattice.")
+            raise CaseError(
+                "LatticeNodes has no faces of cracks, as conforming weights and surface loads need. Use a Lattice with "
+                "the cracks."
+            )
         x, offsets, filled = self._corners(part, parts)
         dim = x.shape[1]
         side = float(_cell_sides(np.full(dim, self.spacing), self.thickness)[0]) / 2.0 ** (dim - 1)
@@ -500,7 +507,7 @@ class Arrays(Particles):
         if self.facets is not None:
             if cracks:
                 raise CaseError(
-                    "Cracks and given facets do not go together: nobody knows the faces between the cells; take a "
+                    "Arrays with facets cannot have cracks, because the faces between its cells are unknown. Use a "
                     "Lattice or a Mesh."
                 )
             return self.facets.of_particles(first, last)

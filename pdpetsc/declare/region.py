@@ -246,7 +246,8 @@ class Face(Region):
     """The outermost side of a body along an axis: its particles, or the facets of its surface.
 
     Conditions and quantities accept the name of the side instead. The outermost particles of a ``Lattice`` are half a
-    cell behind the side; those of ``LatticeNodes`` are on it.
+    cell behind the side; those of ``LatticeNodes`` are on it. A side of a ``Lattice`` with layers of fictitious
+    particles, such as those that ``Clamp`` adds, consists of these.
 
     Parameters
     ----------
@@ -270,6 +271,9 @@ class Face(Region):
 
     def mask(self, view: View) -> Mask:
         """Return True for the outermost particles, or the outermost facets normal to the axis (collective)."""
+        layers = view.sets.get(f"fictitious {self.side}")
+        if layers is not None and view.normal is None:
+            return layers
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
         furthest = -view.minimum(float((-along).min(initial=np.inf)))

@@ -27,16 +27,16 @@ class _Support(Condition):
         if not particles.on_surface:
             kind = type(particles).__name__
             raise CaseError(
-                f"{type(self).__name__} holds the side itself, and particles of {kind} lie behind it: take "
-                f"LatticeNodes or MeshNodes, or hold a region of them with Displacement."
+                f"{type(self).__name__} holds the surface, and particles of {kind} are behind it. Use LatticeNodes or "
+                "MeshNodes, or hold a region with Displacement."
             )
         return self.region
 
     def _side(self) -> Face:
         if not isinstance(self.region, Face):
             raise CaseError(
-                f"{type(self).__name__} of a Lattice takes the name of a side, such as '-x', not {self.region}; take "
-                f"LatticeNodes to hold another region of its surface."
+                f"{type(self).__name__} of a Lattice requires the name of a side, such as '-x', not {self.region}. For "
+                "other regions use LatticeNodes."
             )
         return self.region
 
@@ -115,7 +115,10 @@ class Roller(_Support):
     def __post_init__(self) -> None:
         super().__post_init__()
         if isinstance(self.region, Face) == (self.axis is not None):
-            raise CaseError("A Roller takes the axis of its normal with a set or region, and none with a side.")
+            raise CaseError(
+                "A Roller on a set or region requires `axis`, the axis of its normal. A Roller on a side must not "
+                "have it."
+            )
 
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
         """Return the lattice, and a mirror plane along the side."""
@@ -184,8 +187,8 @@ def beyond_sides(
         if isinstance(condition, _Support) and isinstance(particles, Lattice):
             if not isinstance(horizon, float | int):
                 raise CaseError(
-                    f"{condition_name(condition, number)} needs one horizon for the depth of the layers that it adds; "
-                    f"give the Lattice fictitious layers."
+                    f"{condition_name(condition, number)} requires one horizon for all particles. Use a number as "
+                    "`horizon`, or layers with Lattice(fictitious=...) and Displacement."
                 )
             condition.region.check(particles.dim)
             particles, more = condition.beyond(particles, float(horizon))

@@ -137,8 +137,8 @@ class TextFile(Particles):
             wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
             if len(wrong):
                 raise CaseError(
-                    f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
-                    f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
+                    f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, not a whole number. If the columns "
+                    "are not x y z block volume, add a first line 'header: x y z block_id volume'."
                 )
             numbers = np.unique(block)
             if len(numbers) > MOST_BLOCKS:
@@ -155,9 +155,14 @@ class TextFile(Particles):
         if self.dim is None:
             return without_constant(x)
         if x.shape[1] < self.dim:
-            raise CaseError(f"{self.path} has {x.shape[1]} coordinates, not {self.dim}.")
+            raise CaseError(
+                f"{self.path} has {x.shape[1]} coordinates, fewer than dim={self.dim}. Remove dim, or add columns."
+            )
         if without_constant(x).shape[1] > self.dim:
-            raise CaseError(f"{self.path} has particles out of the {self.dim} dimensions that it is to have.")
+            raise CaseError(
+                f"{self.path} has particles outside the first {self.dim} coordinates, and dim={self.dim}. Remove dim, "
+                "or correct the coordinates."
+            )
         return x[:, : self.dim]
 
 
@@ -308,10 +313,7 @@ def _known(path: Path, words: list[str]) -> list[str]:
     dim = sum(axis in names for axis in "xyz")
     twice = [name for name in names if names.count(name) > 1]
     if twice or dim == 0 or not {*"xyz"[:dim], "volume"} <= set(names):
-        raise CaseError(
-            f"The header of {path} needs x, y and z as far as there are, and volume, and every name once; it has "
-            f"{' '.join(words)}."
-        )
+        raise CaseError(f"The header of {path} is {' '.join(words)}. It must name x (y, z) and volume, each name once.")
     return names
 
 
@@ -321,12 +323,12 @@ def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, 
     if names is None:
         if not 3 <= width <= 5:
             raise CaseError(
-                f"{path} has {width} columns; it needs 1 to 3 coordinates, a block number and a volume, or a first "
-                f"line such as 'header: x y z block_id volume' that names them."
+                f"{path} has {width} columns, not 1 to 3 coordinates, a block and a volume. Name them in a first line "
+                "'header: x y z block_id volume'."
             )
         names = [*"xyz"[: width - 2], "block", "volume"]
     if len(names) != width:
-        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}.")
+        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}. Name every column once.")
     x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]
     block = table[:, names.index("block")] if "block" in names else None
     return x, block, table[:, names.index("volume")]

@@ -139,7 +139,7 @@ class Eigenstrain(Condition):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.tensor.any():
-            raise CaseError("An Eigenstrain takes at least one component that is not zero.")
+            raise CaseError("An Eigenstrain requires at least one component that is not zero.")
 
     def put(self, onto: Any, name: str) -> None:
         """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""

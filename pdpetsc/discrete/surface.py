@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -32,6 +33,8 @@ FLAT = 1e-8
 ACROSS = 0.8
 # A linear function is fitted if the smallest eigenvalue of the moments of the particles is above this, in horizons.
 EXTENT = 1e-3
+# Quadratic functions are fitted if the smallest eigenvalue of their moments, with 1 on the diagonal, is above this.
+DETERMINED = 1e-4
 # Distance of a facet on a mirror plane, as a share of the horizon.
 ON_MIRROR = 1e-6
 
@@ -131,6 +134,36 @@ class Surface:
         weight = fitted[self.members, -1]
         above, below = (np.bincount(self._facet_of, w, len(self.x)) for w in (weight * there, weight))
         return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), self.interpolated(value))
+
+    def gradient(self, cloud: Cloud) -> Float:
+        """Compute ``G_f(x_k)`` (n_entries, dim) [1 / length] of the gradient ``sum_k u_k (x) G_f(x_k)`` at facets.
+
+        It is that of a fit of quadratic functions, of linear ones where the particles do not determine these. Where all
+        particles of a facet lie in its plane it is tangential (not collective).
+        """
+        of, dim = self._facet_of, cloud.dim
+        fit = _fit(cloud, self.x, self.area, self.owner, self.ptr, self.members)
+        linear = np.linalg.inv(fit.moments)
+        squares = [fit.phi[:, 1 + a] * fit.phi[:, 1 + b] for a in range(dim) for b in range(a, dim)]
+        phi = np.concatenate([fit.phi, np.stack(squares, axis=1)], axis=1)
+        moments = _moments(phi, fit.weight, of, len(self.x))
+        # Functions that vanish on all particles: axes without extent.
+        size = np.einsum("faa->fa", moments)
+        absent = size <= FLAT * size[:, :1]
+        moments[absent[:, :, None] | absent[:, None, :]] = 0.0
+        moments += np.einsum("fa,ab->fab", absent * 1.0, np.eye(phi.shape[1]))
+        scale = 1.0 / np.sqrt(np.einsum("faa->fa", moments))
+        spectrum = np.linalg.eigvalsh(moments * scale[:, :, None] * scale[:, None, :])
+        quadratic = spectrum[:, 0] > DETERMINED
+        moments[~quadratic] = np.eye(phi.shape[1])
+        inverse = np.where(absent[:, :, None] | absent[:, None, :], 0.0, np.linalg.inv(moments))
+        inverse[~quadratic] = 0.0
+        inverse[~quadratic, : dim + 1, : dim + 1] = linear[~quadratic]
+        G = np.zeros((len(of), dim))
+        for b in range(dim):
+            slope = fit.weight * (phi * inverse[:, :, 1 + b][of]).sum(axis=1)
+            G += slope[:, None] * fit.axes[:, :, b][of]
+        return G / fit.unit
 
     @cached_property
     def _facet_of(self) -> GlobalIndex:
@@ -347,13 +380,35 @@ def _interpolated(
     cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
     """Compute ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
-    dim, size = cloud.dim, np.diff(families.indptr)[owner]
+    size = np.diff(families.indptr)[owner]
     ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
     of = np.repeat(np.arange(len(x)), size + 1)
     place = np.arange(ptr[-1]) - ptr[of]
     bond = np.minimum(families.indptr[owner][of] + place - 1, max(len(families.neighbours) - 1, 0))
     members = np.where(place == 0, owner[of], families.neighbours[bond] if len(families.neighbours) else 0)
     members = members.astype(np.int32)
+    fit = _fit(cloud, x, area, owner, ptr, members)
+    first = np.linalg.inv(fit.moments)[:, :, 0]
+    return ptr, members, fit.weight * (fit.phi * first[of]).sum(axis=1)
+
+
+class _Fit(NamedTuple):
+    """Store weighted fits of linear functions around facets.
+
+    The functions are 1 and the coordinates along principal axes (n_facets, dim, dim), in columns, over the unit of
+    length of each entry (n_entries, 1), or 0 along axes without extent. ``phi`` holds their values (n_entries, dim +
+    1), ``weight`` the weights (n_entries,), and ``moments`` (n_facets, dim + 1, dim + 1) are regular.
+    """
+
+    phi: Float
+    weight: Float
+    moments: Float
+    axes: Float
+    unit: Float
+
+
+def _fit(cloud: Cloud, x: Float, area: Float, owner: GlobalIndex, ptr: GlobalIndex, members: LocalIndex) -> _Fit:
+    dim, of = cloud.dim, np.repeat(np.arange(len(x)), np.diff(ptr))
     apart = cloud.x[members] - x[of]
     # The unit of distance is that of the particle behind the facet, half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
@@ -367,13 +422,18 @@ def _interpolated(
     along = np.einsum("ei,eij->ej", apart, axes[of]) * spread[of]
     phi = np.concatenate([np.ones((len(of), 1)), along], axis=1)
     weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4 * on_face
-    moments = np.zeros((len(x), dim + 1, dim + 1))
-    for a in range(dim + 1):
-        for b in range(dim + 1):
-            moments[:, a, b] = np.bincount(of, weight * phi[:, a] * phi[:, b], len(x))
+    moments = _moments(phi, weight, of, len(x))
     moments[:, 1:, 1:] += np.einsum("fi,ij->fij", 1.0 - spread, np.eye(dim))
-    first = np.linalg.inv(moments)[:, :, 0]
-    return ptr, members, weight * (phi * first[of]).sum(axis=1)
+    return _Fit(phi, weight, moments, axes, unit)
+
+
+def _moments(phi: Float, weight: Float, of: GlobalIndex, count: int) -> Float:
+    size = phi.shape[1]
+    moments = np.empty((count, size, size))
+    for a in range(size):
+        for b in range(size):
+            moments[:, a, b] = np.bincount(of, weight * phi[:, a] * phi[:, b], count)
+    return moments
 
 
 def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, apart: Float) -> Float:

@@ -458,7 +458,7 @@ def refuse_flat(cloud: Cloud, own: GlobalIndex, what: str) -> None:
     ids = sorted(int(i) for part in cloud.comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
     raise FlatFamilies(
-        f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "
-        f"particles there.",
+        f"{count} particles have a family too small or too flat for {what} at horizon {cloud.horizon:g} (ids "
+        f"{listed}); use a wider horizon, add particles there, or move cracks that pass through particles.",
         gid,
     )

@@ -88,7 +88,7 @@ class Conforming(Weights):
 
 @dataclass(frozen=True)
 class Suited(Conforming):
-    """Conforming weights if they exist, else those of the scheme: the default of an irregular cloud."""
+    """Conforming weights if they exist, else those of the scheme: the default of nodes and irregular clouds."""
 
     @property
     def required(self) -> bool:
@@ -105,13 +105,13 @@ class Suited(Conforming):
             return Unsuited(str(error)).of(operator, cloud, families, surface, solve)
 
 
-# Note on the weights of an irregular cloud without conforming weights.
-NEED_NOT_CONVERGE = "standard weights on an irregular cloud, where they need not converge"
+# Start of the note on a body without the conforming weights that are the default of its particles.
+MAY_NOT_CONVERGE = "standard weights, which may not converge here"
 
 
 @dataclass(frozen=True)
 class Unsuited(Standard):
-    """The weights of the scheme on an irregular cloud without conforming weights."""
+    """The weights of the scheme for a body without conforming weights, with the reason ``why``."""
 
     why: str
 
@@ -119,7 +119,7 @@ class Unsuited(Standard):
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
         """Return the operator unchanged, with a note."""
-        note = f"{NEED_NOT_CONVERGE}. {self.why}"
+        note = f"{MAY_NOT_CONVERGE}. {self.why}"
         return replace(operator, note="; ".join(filter(None, [operator.note, note])))
 
 

@@ -648,20 +648,21 @@ def dimension_of(field: Field) -> str:
     return next((found for known, found in _DIMENSIONS.items() if known is wanted), "")
 
 
-def refuse_component(declared: object, field: Field, component: str, dim: int = 3) -> None:
-    """Raise CaseError if the field of a declared object lacks the component in ``dim`` dimensions."""
+def refuse_component(declared: object, field: Field, component: str, dim: int | None = None) -> None:
+    """Raise CaseError if the field of a declared object lacks the component in ``dim`` dimensions, None if unknown."""
     letters = "xyz" if any(field is known for known in _PRINCIPAL) else "xyz"[:dim]
     # A field may be an object that is not hashable.
     ours = [number for known, number in _LETTERS.items() if known is field]
     wanted = ours[0] if ours else min(len(component), 2)
     if len(component) == wanted and set(component) <= set(letters):
         return
-    known = f"{wanted} of {', '.join(letters)}" if wanted else "none"
+    number = ["no letter", f"one of {', '.join(letters)}", f"two of {', '.join(letters)}"][wanted]
     if not ours:
-        known = f"none, one or two of {', '.join(letters)}"
+        number = f"no, one or two of {', '.join(letters)}"
     kind = type(declared).__name__
     who = f"{'An' if kind[0] in 'AEIOU' else 'A'} {kind}"
-    raise CaseError(f"{who} of {name_of(field)} in {dim}D takes {known} as component, not {component!r}.")
+    where = "" if dim is None else f" in {dim}D"
+    raise CaseError(f"{who} of {name_of(field)}{where} requires {number} as component, not {component!r}.")
 
 
 def _axes(solution: Solution, name: str) -> tuple[int, int]:

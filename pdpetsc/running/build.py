@@ -18,7 +18,7 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.damage.laws import Marking
 from pdpetsc.damage.point_damage import AssignedPointDamage
-from pdpetsc.declare.horizon import horizons_of
+from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
@@ -89,7 +89,7 @@ def make_chunk(comm: Comm, case: Case) -> Chunk:
         chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
     if int(total(comm, len(chunk.x))) == 0:
-        raise CaseError("The case has no particles.")
+        raise CaseError("The case has no particles. Check `cut` and `keep`, or the file of the particles.")
     return chunk
 
 
@@ -112,8 +112,8 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     cloud = distribute(comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual, together)
     if patches is not None and smallest(comm, cloud.n_owned) == 0:
         raise CaseError(
-            f"Patches of {patches.edge:g} are fewer than the {comm.size} ranks can share; run on fewer ranks, or "
-            f"declare a scheme without patches or with smaller ones."
+            f"Patches of {patches.edge:g} are too few for {comm.size} ranks. Use fewer ranks, smaller patches, or a "
+            "scheme without patches."
         )
     return cloud
 
@@ -176,9 +176,13 @@ def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Familie
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Build the problem of a case on a distributed cloud, with the PETSc options of its run (collective)."""
     if int(total(cloud.comm, families.n_bonds)) == 0:
+        volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
+        depth = case.particles.thickness if cloud.dim < 3 else 1.0
+        spacing = (volume / depth / cloud.n_global) ** (1.0 / cloud.dim)
         raise CaseError(
-            f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
-            f"the cracks cut less."
+            f"No two of the {cloud.n_global} particles share a bond: the horizon is {cloud.horizon:.6g}, the mean "
+            f"spacing {spacing:.6g}. Use a horizon of at least {LEAST_RATIO * spacing:.6g}"
+            f"{', or shorter cracks' if case.cracks else ''}."
         )
     materials = materials_of(case, cloud)
     with agreed(cloud.comm):
@@ -310,8 +314,8 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         material_term, others, damage = listed(case, body, bonds, materials)
     if case.expands and any(law.criterion.reads_strain for law in case.damage_laws):
         raise CaseError(
-            "What drives damage is the whole strain here, and part of it has no stress where a body expands or has "
-            "strain without stress; take a criterion of stretch, bond energy or stress."
+            "Strain-based criteria use the total strain and cannot be combined with thermal strain or eigenstrain. "
+            "Use a stretch, energy or stress criterion."
         )
     applied = apply(body, material_term, case.conditions, case.particles, case.steps.stops())
     supports, heat = applied.supports, None
@@ -450,7 +454,8 @@ def _points(
 
     if case.damage is not None and not case.damage.point_laws and case.gradients.patches is not None:
         raise CaseError(
-            "MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail, or PointDamage."
+            "MeanDilatation cannot be combined with bonds that fail. Use the scheme inside it, such as "
+            "pd.Correspondence(), or PointDamage."
         )
 
     def controlled(control: ZeroEnergyControl, stiffness: Stiffness) -> Control:
@@ -510,8 +515,8 @@ def _failing(
     """
     if materials.several and any(law.criterion.of_one_material for law in declared.all_laws):
         raise CaseError(
-            f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
-            f"critical stretches by place with CriticalFunction, or a fracture energy."
+            f"The criterion of {type(declared).__name__} requires one uniform material. For several or graded "
+            "materials use CriticalFunction or FractureEnergy."
         )
     mark = _marking(body)
     return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
@@ -577,9 +582,7 @@ def _refuse_bad_particles(chunk: Chunk) -> None:
         raise CaseError(f"{len(bad)} particles have a position that is not a number, the first at {chunk.x[bad[0]]}.")
     far = float(np.abs(chunk.x).max(initial=0.0))
     if far > FAR:
-        raise CaseError(
-            f"A particle is {far:g} away from the origin; choose a unit of length that gives smaller numbers."
-        )
+        raise CaseError(f"A particle is {far:g} away from the origin, beyond {FAR:g}. Choose a larger unit of length.")
     bad = np.flatnonzero(~(np.isfinite(chunk.volume) & (chunk.volume > 0.0)))
     if len(bad):
         volume, x = chunk.volume[bad[0]], chunk.x[bad[0]]

@@ -53,15 +53,14 @@ class Check:
         expected = self.expected
         within = f"{expected.tolerance:.4g}" + (f" ({expected.relative:.3%})" if expected.relative is not None else "")
         wanted = f"{expected.value:.8g} is expected within {within}, {expected.source}"
-        return f"{self.name} is {self.got:.8g} where {wanted}"
+        return f"{self.name} is {self.got:.8g}, but {wanted}"
 
 
 def refuse_unchecked(expect: Mapping[str, Expected]) -> None:
     """Raise CaseError if a case has no expected results."""
     if not expect:
         raise CaseError(
-            "There is nothing to check: the case expects nothing, or not with these parameters; give it "
-            "expect={name of a result: pd.Expected(...)}."
+            "The case has no `expect` with these parameters. Add expect={name of a result: pd.Expected(...)}."
         )
 
 
@@ -113,4 +112,4 @@ def expected_of(summary: Mapping[str, Any]) -> dict[str, Expected]:
             for row in summary.get("checks") or []
         }
     except (TypeError, KeyError, ValueError) as error:
-        raise CaseError(f"summary.json holds checks that are none: {error}.") from error
+        raise CaseError(f"The checks in summary.json cannot be read: {error}. Repeat the run.") from error

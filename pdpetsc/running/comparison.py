@@ -209,8 +209,8 @@ class Comparison:
         for name in names[1:]:
             if not math.isclose(times[name], times[names[0]], rel_tol=1e-9, abs_tol=1e-12):
                 raise CaseError(
-                    f"{names[0]} ends at step time {times[names[0]]:g} and {name} at {times[name]:g}; say at which t "
-                    f"their fields are compared."
+                    f"{names[0]} ends at step time {times[names[0]]:g}, {name} at {times[name]:g}. Give the step time "
+                    "t of the comparison."
                 )
         first = self.runs[names[0]]
         values = {}
@@ -278,8 +278,8 @@ class Comparison:
         ]
         if len(there) > 1:
             raise CaseError(
-                f"{name} comes to step time {t:g} in each of the steps {', '.join(map(str, there[:12]))}; compare "
-                f"field(name, step) of those that are meant."
+                f"{name} has step time {t:g} in steps {', '.join(map(str, there[:12]))}. Compare field(name, step) "
+                "instead."
             )
         return stored.steps[near]
 
@@ -305,11 +305,11 @@ def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Pa
     >>> both.difference("displacement")["fine"]             # doctest: +SKIP
     """
     if isinstance(runs, str | Path | Result):
-        raise CaseError("compare takes several runs; put them into a list.")
+        raise CaseError("compare requires a list of runs, as compare([run, run]).")
     named = runs if isinstance(runs, Mapping) else dict(enumerate(runs))
     opened = {str(name): run if isinstance(run, Result) else open_run(run) for name, run in named.items()}
     if len(opened) < 2:
-        raise CaseError(f"compare takes two runs or more, not {len(opened)}.")
+        raise CaseError(f"compare requires at least two runs, not {len(opened)}.")
     if named is not runs:
         opened = dict(zip(_names(list(opened.values())), opened.values(), strict=True))
     return Comparison(opened)
@@ -322,7 +322,7 @@ def _names(runs: Sequence[Result]) -> list[str]:
         names = ["/".join(one[-count:]) for one in parts]
         if len(set(names)) == len(names):
             return names
-    raise CaseError(f"{runs[0].folder} is given twice; a run cannot be compared with itself.")
+    raise CaseError(f"{runs[0].folder} is given twice. Compare two different runs.")
 
 
 def _refuse_apart(what: str, units: Mapping[str, str]) -> None:
@@ -330,4 +330,6 @@ def _refuse_apart(what: str, units: Mapping[str, str]) -> None:
     first = next(iter(units), "")
     for name, unit in units.items():
         if unit != units[first]:
-            raise CaseError(f"{first} {what} {units[first]}, {name} {what} {unit}; their numbers cannot be compared.")
+            raise CaseError(
+                f"{first} {what} {units[first]}, {name} {what} {unit}. Runs with different units cannot be compared."
+            )

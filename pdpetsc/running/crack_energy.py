@@ -33,8 +33,8 @@ def missed_fracture_energy(case: Case) -> str | None:
     else:
         return None
     return (
-        f"A running crack through {model} takes {size} times the fracture energy Gc: give the measured share of the "
-        f"model with share=..., from the table in {PAGE}, or share=1.0 to keep Gc for one plane of bonds."
+        f"A running crack through {model} dissipates {size} times the fracture energy Gc. Give share=... from {PAGE}, "
+        "or share=1.0 for one plane of bonds."
     )
 
 
@@ -47,6 +47,6 @@ def _missed_by_points(case: Case) -> str | None:
     else:
         return None
     return (
-        f"A running crack through {model} takes {size} times the declared Gc: take scheme=pd.Correspondence() with "
-        f"control=pd.Silling(2.0) if Gc matters ({PAGE})."
+        f"A running crack through {model} dissipates {size} times Gc. For Gc use scheme=pd.Correspondence() and "
+        f"control=pd.Silling(2.0) ({PAGE})."
     )

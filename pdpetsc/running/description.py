@@ -23,7 +23,7 @@ from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.crack_energy import missed_fracture_energy
 from pdpetsc.running.notes import notes
-from pdpetsc.running.suited import lame_ratio, locking_note
+from pdpetsc.running.suited import lame_ratio, locking_note, plastic_note
 from pdpetsc.running.suited import words as suited_words
 from pdpetsc.running.unbalanced_surface import unbalanced_areas
 
@@ -87,7 +87,7 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     )
     if case.symmetry:
         planes = ", ".join(f"{plane.axis} = {plane.at:g}" for plane in case.symmetry)
-        report.say(f"mirror planes {planes}; all numbers are those of the part before them")
+        report.say(f"mirror planes {planes}; all numbers are those of the modelled part")
     return entries
 
 
@@ -125,6 +125,10 @@ def _scheme(case: Case, problem: Problem, declared: Case, report: Report) -> dic
         with agreed(problem.body.cloud.comm):
             scheme["chosen"] = suited_words(case, lame_ratio(case, problem.dim))
         report.say(scheme["chosen"])
+    with agreed(problem.body.cloud.comm):
+        plastic = plastic_note(case, problem.dim)
+    if plastic:
+        report.detail(f"note: {plastic}")
     return entries
 
 

@@ -26,7 +26,7 @@ class DetachedParticles(Observer):
         """Print a line if the number has increased."""
         lost = solution.problem.material_term.n_detached
         if lost > self._count:
-            line = f"           {lost} particles have too few bonds left for a gradient; their stress is gone"
+            line = f"           {lost} particles have too few bonds left for a gradient, and no stress"
             self.observed.report.say(line)
         self._count = lost or self._count
         return {}

@@ -14,6 +14,7 @@ from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
+from pdpetsc.running.thin import thin_note
 
 # At this ratio of shear moduli the stress within a horizon of an interface has an error of 25 % at any spacing; 14 % at
 # 1.5: docs/reference/measured/defaults.md.
@@ -40,7 +41,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
     -----
     Collective.
     """
-    found = [staircase_note(case, problem), interface_note(case, problem), jump_note(case, problem)]
+    found = [note_of(case, problem) for note_of in (staircase_note, interface_note, jump_note, thin_note)]
     return [note for note in found if note]
 
 
@@ -58,8 +59,8 @@ def staircase_note(case: Case, problem: Problem) -> str:
     if stairs <= FEW:
         return ""
     return (
-        f"the cut surface of the lattice is a staircase of {stairs} steps, where stress does not converge; use a Mesh "
-        f"or MeshNodes, or read the stress two horizons away"
+        f"the cut surface is a staircase of {stairs} steps, and its stress does not converge; use a Mesh or MeshNodes, "
+        "or read the stress two horizons away"
     )
 
 
@@ -83,8 +84,8 @@ def interface_note(case: Case, problem: Problem) -> str:
     if highest == STIFFER:
         return ""
     return (
-        f"the shear moduli of materials {between[0] + 1} and {between[1] + 1} differ by a factor of {highest:.4g}: the "
-        f"stress within a horizon of their interface is off by 25 % or more; read it two horizons away"
+        f"shear moduli of materials {between[0] + 1} and {between[1] + 1} differ by a factor of {highest:.4g}: stress "
+        "within a horizon of the interface is wrong by 25 % or more; read it two horizons away"
     )
 
 

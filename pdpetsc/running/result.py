@@ -98,8 +98,8 @@ class Result(Mapping[str, float]):
         stored = StoredFields(self.folder, self._run or None)
         if self._run == NONE_YET:
             raise CaseError(
-                f"{self.folder} had no fields to read when its run was opened, and has some now, which may be those of "
-                f"a later run; open it again."
+                f"{self.folder} had no fields when this run was opened, but has fields now, maybe of a later run. Open "
+                "the folder again."
             )
         return stored
 
@@ -162,8 +162,8 @@ class Result(Mapping[str, float]):
         """
         if Labels.of(self.summary).fields.get(name) == "force":
             raise CaseError(
-                f"The field {name} of {self.folder} is a force on each particle, which depends on its volume and has "
-                f"no values between particles; add those of field({name!r}) up over the particles of a region."
+                f"The field {name} of {self.folder} is a force per particle and has no values between particles. Sum "
+                f"field({name!r}) over a region instead."
             )
         values = np.asarray(self.field(name, step), dtype=float)
         x, inside = self._body
@@ -189,8 +189,8 @@ class Result(Mapping[str, float]):
         unknown = [str(record.get("kind")) for record, crack in cracks if crack is None]
         if unknown:
             raise CaseError(
-                f"{self.folder} has a crack of the class {unknown[0]} of the case, which its folder does not know, so "
-                f"that a value between particles may be one across the crack; take field(name) of particles."
+                f"{self.folder} has a crack of the unknown class {unknown[0]}, so values between particles may cross "
+                "it. Use field(name) of the particles."
             )
         stored = self.fields
         broken = broken_pairs(self.folder, stored.steps[-1] if step is None else step, x)
@@ -326,7 +326,9 @@ class Result(Mapping[str, float]):
         Collective.
         """
         if self.solution is None:
-            raise CaseError("A run opened from its folder has the fields that it wrote, by name: use field(name).")
+            raise CaseError(
+                "This run was opened from its folder. Use field(name) with the name of a field that it wrote."
+            )
         return gathered(self.solution, field)
 
 

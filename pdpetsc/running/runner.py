@@ -14,7 +14,7 @@ from pdpetsc.declare.expected import Expected
 from pdpetsc.discrete.communicator import Comm, agreed, communicator, is_root
 from pdpetsc.discrete.failure import messages_apart
 from pdpetsc.errors import CaseError, OutputError, of_petsc
-from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
+from pdpetsc.gradient.weights import MAY_NOT_CONVERGE
 from pdpetsc.kernels.compile import cache_trouble, first_compilation
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
@@ -35,6 +35,10 @@ from pdpetsc.running.record import RunRecord
 from pdpetsc.running.result import Result, named_numbers
 from pdpetsc.running.signals import Signals, watched
 from pdpetsc.solvers.protocol import Solver, Start, StepResult
+
+# A case with the dimension, scheme, materials and damage of an earlier one loads its kernels from numba's cache. An
+# elastic plane body compiles for 20 s, a plastic solid for 110 s.
+COMPILING = "compiling kernels, 20 s to 2 min, once for each kind of case, processor and version ..."
 
 
 def run(
@@ -187,11 +191,14 @@ class _Run:
         if self.expect is not None:
             with agreed(record.comm):
                 refuse_unchecked(self.expect)
-        with first_compilation(lambda: report.say("compiling kernels, once on this machine ...")):
+        with first_compilation(lambda: report.say(COMPILING)):
             prepared = self.prepared = prepare(declared, record.comm, options, record.phases)
         case = self.case = prepared.case
         if cache_trouble():
-            report.say(f"Kernels are compiled in every run, because their cache cannot be written: {cache_trouble()}")
+            report.say(
+                f"Every run compiles its kernels, because their cache cannot be written: {cache_trouble()}. Set "
+                f"NUMBA_CACHE_DIR to a folder of yours."
+            )
         record.summary |= describe(case, prepared.problem, declared, report)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
@@ -258,7 +265,7 @@ class _Run:
         """Read the checkpoint from which the run continues."""
         title, finds_load = self.case.solver.title, self.case.solver.finds_load
         if not self.case.solver.restarts:
-            raise CaseError(f"{title} starts from the unloaded body; it takes no restart.")
+            raise CaseError(f"{title} cannot restart, because it starts from the unloaded body. Leave out restart.")
         origin = read_checkpoint(prepared.problem, order, restart.path, declared, restart.anyway, finds_load)
         start = origin.start
         with prepared.options.active():
@@ -303,13 +310,15 @@ class _Run:
         summary = record.write("converged", results)
         if left:
             plural = "s" if len(left) > 1 else ""
-            report.warn(f"nothing used the option{plural} {' '.join(f'-{name}' for name in left)}.")
+            report.warn(
+                f"No solver used the option{plural} {' '.join(f'-{name}' for name in left)}. Check the spelling, or "
+                f"remove {'them' if plural else 'it'}."
+            )
         if solver.ended:
             report.say(solver.ended)
-        if NEED_NOT_CONVERGE in str(record.summary["scheme"]["note"]):
-            report.warn(
-                f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
-            )
+        _, unsuited, why = str(record.summary["scheme"]["note"]).partition(MAY_NOT_CONVERGE)
+        if unsuited:
+            report.warn(f"The run used {MAY_NOT_CONVERGE}{why} Otherwise compare two spacings.")
         for warning in record.warnings():
             report.warn(warning)
         report.results(results, Labels.of(record.summary))

@@ -24,13 +24,12 @@ class Stability(Observer):
         found = []
         if unstable and not self._finds_load:
             found.append(
-                f"{len(unstable)} of {len(steps)} equilibria are unstable, the first at step time {unstable[0]:.6g}; "
-                f'perturb the body, or let Steps(unstable="shorten") end the run before.'
+                f"{len(unstable)} of {len(steps)} equilibria are unstable, first at step time {unstable[0]:.6g}. "
+                "Perturb the body, or use Steps(unstable='shorten')."
             )
         if branching:
             found.append(
-                f"At {len(branching)} of {len(steps)} steps damage jumped to where other branches lead away, the "
-                f"first at step time {branching[0]:.6g}: round-off may decide what follows, and with it the "
-                f"units and the order of particles; take smaller steps, or perturb the body."
+                f"Damage jumped at a branching point in {len(branching)} of {len(steps)} steps, first at step time "
+                f"{branching[0]:.6g}; round-off may choose the branch. Use smaller steps, or perturb the body."
             )
         return found

@@ -180,18 +180,15 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
 
 def words(found: Unbalanced) -> str:
     """Return the warning."""
-    if found.stress is None or found.displacement is None:
-        much = "how far that moves them cannot be told here"
-    else:
-        much = (
-            f"without that push stresses would change by {100.0 * found.stress:.0f} % and displacements by "
-            f"{100.0 * found.displacement:.0f} %, to first order"
+    effect = f"unbalanced surface forces of unknown effect act on {found.particles} free particles"
+    if found.stress is not None and found.displacement is not None:
+        effect = (
+            f"unbalanced surface forces on {found.particles} free particles change stresses by "
+            f"{100.0 * found.stress:.0f} % and displacements by {100.0 * found.displacement:.0f} %"
         )
     return (
-        f"Do not rely on these stresses: the material hardly changes its volume, and a uniform stress pushes "
-        f"{found.particles} free particles beside supports or at the surface; {much}. Hold particles that lie on the "
-        f"surface itself with conforming weights (LatticeNodes or MeshNodes, weights=Conforming()), or layers two "
-        f"horizons deep."
+        f"Do not rely on these stresses: {effect}. Use LatticeNodes or MeshNodes with conforming weights, or hold "
+        f"layers two horizons deep."
     )
 
 

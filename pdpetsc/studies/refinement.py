@@ -21,6 +21,9 @@ CONFIRMED, ALONE = 1.25, 3.0
 # Largest order used for an error bar.
 TRUSTED = 2.0
 HIGHEST = 20.0
+# Ends of the notes: what to do.
+ADD = "add smaller sizes"
+TIGHTEN = "use larger sizes or a tighter solver tolerance"
 
 
 @dataclass(frozen=True)
@@ -119,27 +122,27 @@ def converging(
 
 def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float) -> dict[str, Any]:
     if len(h) < 2:
-        return {"note": "an order against an exact value needs two sizes or more"}
+        return {"note": f"an order against an exact value needs two sizes, not {len(h)}"}
     errors = [value - exact for value in f]
     scale = max(abs(exact), *map(abs, f))
     if min(map(abs, errors)) <= noise * scale:
-        return {"note": "a result is exact up to what its solver leaves"}
+        return {"note": f"an error is below the solver tolerance; {TIGHTEN}"}
     if min(errors) < 0.0 < max(errors):
-        return {"note": "the error changes its sign"}
+        return {"note": f"the error changes its sign; {ADD}"}
     logs = np.log(np.array([h, [abs(error) for error in errors]]))
     steps = np.diff(logs)
     orders = tuple((steps[1] / steps[0]).tolist())
     if min(orders) <= 0.0:
-        return {"orders": orders, "note": "the error does not fall with the size"}
+        return {"orders": orders, "note": f"the error does not fall with the size; check the exact value, and {ADD}"}
     # Only the sizes used below: larger ones may not be small enough.
     slope = float(np.polyfit(logs[0, -3:], logs[1, -3:], 1)[0])
     if len(orders) == 1:
-        note = "two sizes cannot tell whether they are small enough"
+        note = "two sizes do not show whether they are small enough; add a third"
     elif _apart(orders[-2], orders[-1]):
-        note = f"not in the asymptotic range: orders {_words(orders)} from size to size"
+        note = f"not in the asymptotic range, orders {_words(orders)}; {ADD}"
         return {"orders": orders, "note": note}
     elif any(_apart(order, orders[-1]) for order in orders[:-2]):
-        note = f"the order of the three smallest sizes; larger ones are not small enough: {_words(orders)}"
+        note = f"the order of the three smallest sizes; the larger sizes have other orders: {_words(orders)}"
     else:
         note = ""
     return {"order": slope, "orders": orders, "note": note}
@@ -147,26 +150,27 @@ def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float)
 
 def _extrapolated(h: Sequence[float], f: Sequence[float], noise: float) -> dict[str, Any]:
     if len(h) < 3:
-        return {"note": f"an observed order needs three sizes or more, not {len(h)}"}
+        return {"note": f"an order without an exact value needs three sizes, not {len(h)}"}
     steps = [after - before for before, after in itertools.pairwise(f)]
     scale = max(map(abs, f))
     if min(map(abs, steps[-3:])) <= noise * scale:
-        return {"note": "neighbouring sizes differ by what solvers leave only"}
+        return {"note": f"results of neighbouring sizes differ by less than the solver tolerance; {TIGHTEN}"}
     if min(steps[-3:]) < 0.0 < max(steps[-3:]):
-        return {"note": "the results are not monotone in the size"}
+        return {"note": f"the results are not monotone in the size; {ADD}"}
     orders = tuple(
         order for k in range(max(0, len(h) - 4), len(h) - 2) if (order := _order(h[k : k + 3], steps[k : k + 2]))
     )
     if len(orders) < min(2, len(h) - 2):
-        return {"orders": orders, "note": "the results do not approach a limit at these sizes"}
+        note = (
+            f"the results do not approach a limit: their differences do not fall with the size; {ADD}, or refine the "
+            f"horizon and the load steps along with it"
+        )
+        return {"orders": orders, "note": note}
     if len(orders) > 1 and _apart(*orders):
-        return {
-            "orders": orders,
-            "note": f"not in the asymptotic range: orders {_words(orders)} from one three sizes to the next",
-        }
+        return {"orders": orders, "note": f"not in the asymptotic range, orders {_words(orders)}; {ADD}"}
     order, r = orders[-1], h[-2] / h[-1]
     safety = CONFIRMED if len(orders) > 1 else ALONE
-    note = "" if len(orders) > 1 else "three sizes cannot tell whether they are small enough"
+    note = "" if len(orders) > 1 else "three sizes do not show whether they are small enough; add a fourth"
     return {
         "order": order,
         "orders": orders,

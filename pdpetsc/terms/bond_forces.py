@@ -136,7 +136,10 @@ class BondForces(MaterialTerm):
             )
         self._closing = damage.bonds.laws.closing
         if self._closing is not None and self.a is not None:
-            raise CaseError("Cracks that close take bond-based materials: a dilatation is of a whole family.")
+            raise CaseError(
+                "closes=True requires bond-based materials, because a dilatation is that of the whole family. Use "
+                "BondBased, or leave closes out."
+            )
         self.damage = damage
         if damage.driving_variable.reads_points:
             # Gradient over the unbroken bonds, with the elastic material that the bonds represent.

@@ -11,6 +11,7 @@ from pdpetsc.declare.conditions import (
     BodyForce,
     Condition,
     Displacement,
+    FollowerPressure,
     Force,
     MeanStrain,
     MeanStress,
@@ -35,6 +36,7 @@ from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
 from pdpetsc.terms.contact import STIFFNESS, ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
+from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.surface_loads import SurfaceLoads
 
 
@@ -66,7 +68,8 @@ class Applied:
         self.supports = Supports(body, self.cell)
         self.loads = DeadLoads(body, material_term, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
-        self.contacts: list[Term] = []
+        # Forces on facets that depend on the displacement.
+        self.on_facets: list[Term] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -77,7 +80,7 @@ class Applied:
     def terms(self) -> list[Term]:
         """Return the loads."""
         loads = [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
-        return [*loads, *self.contacts]
+        return [*loads, *self.on_facets]
 
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
@@ -136,6 +139,10 @@ class Applied:
         """Add a pressure on facets."""
         self.surface_loads.add_pressure(condition, name)
 
+    def follower_pressure(self, condition: FollowerPressure, name: str) -> None:
+        """Add a pressure on the deformed surface."""
+        self.on_facets.append(PressureOnDeformed(self.body, condition, name))
+
     def contact(self, condition: Contact, name: str) -> None:
         """Add the contact with a tool."""
         cloud = self.body.cloud
@@ -149,7 +156,7 @@ class Applied:
         stiffness = condition.stiffness
         if stiffness is None:
             stiffness = STIFFNESS * largest(cloud.comm, self._material_term.kappa) / spacing
-        self.contacts.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
+        self.on_facets.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

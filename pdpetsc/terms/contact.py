@@ -84,8 +84,8 @@ class ContactForces(Term):
 
     With the gap g of a facet at ``x_f + sum_k N_f(x_k) u_k``, ``p = <p0 - c g>`` with the multiplier ``p0``. Friction
     has the trial traction ``tau* = (1 - n (x) n) (tau_0 - c_t (u - u_0))`` with displacements as seen from the tool,
-    since the last converged step. It sticks, ``tau = tau*``, while ``|tau*| <= mu p``, and slides with ``tau = mu p tau*
-    / |tau*|``. All of this is computed as seen from the tool, and turned with it.
+    since the last converged step. It sticks, ``tau = tau*``, while ``|tau*| <= mu p``, and slides with
+    ``tau = mu p tau* / |tau*|``. All of this is computed as seen from the tool, and turned with it.
 
     Parameters
     ----------

@@ -361,12 +361,12 @@ def test_a_run_whose_model_is_known_to_miss_the_fracture_energy_warns_once(tmp_p
     for number, (changes, size) in enumerate(
         [
             ({}, None),
-            ({"damage": pd.Brittle(pd.FractureEnergy(GC))}, "bonds that snap takes 1.2 to 2"),
-            ({"damage": pd.SmoothDegradation(pd.BondEnergy(Gc=GC))}, "bonds that snap takes 1.2 to 2"),
+            ({"damage": pd.Brittle(pd.FractureEnergy(GC))}, "bonds that snap dissipates 1.2 to 2"),
+            ({"damage": pd.SmoothDegradation(pd.BondEnergy(Gc=GC))}, "bonds that snap dissipates 1.2 to 2"),
             ({"damage": pd.Brittle(pd.FractureEnergy(GC, share=1.0))}, None),
             ({"damage": pd.Brittle(pd.ConstantCritical(0.01))}, None),
-            ({"material": pd.LinearSolid(E, 0.25, plane="stress")}, "dilatation takes 1.05 to 1.1"),
-            (gradients, "gradients takes 0.3 to 0.8"),
+            ({"material": pd.LinearSolid(E, 0.25, plane="stress")}, "dilatation dissipates 1.05 to 1.1"),
+            (gradients, "gradients dissipates 0.3 to 0.8"),
             ({"damage": pd.DamageOf({"all": pd.region.All()}, {"all": pd.Brittle(pd.FractureEnergy(GC))})}, "1.2 to 2"),
         ]
     ):

@@ -102,7 +102,7 @@ def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, message = process.communicate(timeout=300)
     assert process.returncode == 1, message
-    assert "the same command goes on" in message
+    assert "The same command continues" in message
     assert "Traceback" not in message
     first = next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime
     assert called(*words[3:]).returncode == 0
@@ -252,7 +252,7 @@ def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
     process.send_signal(signal.SIGTERM)
     _, message = process.communicate(timeout=300)
     assert process.returncode == 1
-    assert "the same command goes on" in message
+    assert "The same command continues" in message
     pid = int((tmp_path / "pid").read_text())
     with pytest.raises(ProcessLookupError):
         # What was orphaned is there until the first process of the machine has looked at it.

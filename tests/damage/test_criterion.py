@@ -436,7 +436,7 @@ def test_a_criterion_for_one_material_is_refused_for_several():
             particles=pd.Lattice((0.0, 0.0), (16.0, 8.0), 1.0), horizon=3.015, material=several,
             conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)], damage=pd.Brittle(Alone(0.05)),
         )  # fmt: skip
-        with pytest.raises(pd.CaseError, match="for one material"):
+        with pytest.raises(pd.CaseError, match="requires one uniform material"):
             pd.prepare(case)
 
 

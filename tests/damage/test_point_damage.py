@@ -222,7 +222,7 @@ def test_refusals():
     strong = dataclasses.replace(case.damage, strength=5.0)
     with pytest.raises(pd.CaseError, match="take a horizon below"):
         pd.prepare(dataclasses.replace(case, damage=strong))
-    with pytest.raises(pd.CaseError, match="PointDamage is for deformation gradients"):
+    with pytest.raises(pd.CaseError, match="PointDamage requires materials of deformation gradients"):
         dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
 
 
@@ -531,7 +531,7 @@ def test_regions_of_points_that_overlap_and_bodies_of_bonds_are_refused():
     case, _ = bar(damage=pd.DamageOf({"left": LEFT, "all": pd.region.All()}, {"left": WEAK, "all": STRONG}))
     with pytest.raises(pd.CaseError, match="is in 2 regions of DamageOf"):
         pd.prepare(case)
-    with pytest.raises(pd.CaseError, match="PointDamage is for deformation gradients"):
+    with pytest.raises(pd.CaseError, match="PointDamage requires materials of deformation gradients"):
         dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
 
 

@@ -153,7 +153,7 @@ def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     assert any(
         "not unique (a deviation grows by 1.07 a sweep)" in line and line.startswith("step    2") for line in said
     )
-    noted = "At 2 of 3 steps damage jumped to where other branches lead away, the first at step time 0.666667"
+    noted = "Damage jumped at a branching point in 2 of 3 steps, first at step time 0.666667"
     assert any(noted in line for line in said)
 
 

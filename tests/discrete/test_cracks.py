@@ -82,7 +82,7 @@ def test_cracks_of_a_periodic_cell_cut_images_from_both_ends():
         (pd.Polyline([(0.0, 0.0)]), "at least two points"),
         (pd.PlaneCrack((0.5, 0.0), (0.0, 0.0)), "normal that is not zero"),
         (pd.PlaneCrack((0.5,), (1.0,)), "points of 2 numbers"),
-        (pd.Disc((0, 0, 0), (0, 0, 1), 1.0), "bodies in 3D"),
+        (pd.Disc((0, 0, 0), (0, 0, 1), 1.0), "requires a body in 3D"),
     ],
 )
 def test_wrong_cracks_are_refused(crack, message):

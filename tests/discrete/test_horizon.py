@@ -548,7 +548,7 @@ PLATE = pd.Lattice((0.0, 0.0), (4.0, 2.0), 1.0)
         ("2", "takes a number, a Horizon, a function, an array or None as horizon, not '2'"),
         ([2.0, 2.0], "takes a number, a Horizon, a function, an array or None as horizon"),
         (float("nan"), "takes a number, a Horizon"),
-        (0.5, "below the spacing"),
+        (0.5, "The horizon 0.5 is below the spacing 1: .* at least 1.015, 1.015 spacings, or leave `horizon` out"),
         (pd.Horizon, "the class Horizon"),
         (np.full((8, 1), 2.0), "one length per particle"),
         (np.array(["a"] * 8), "one length per particle"),
@@ -580,7 +580,7 @@ def test_a_ratio_is_positive(ratio):
 
 
 def test_a_ratio_below_one_spacing_is_refused():
-    with pytest.raises(pd.CaseError, match="below one; families would be empty"):
+    with pytest.raises(pd.CaseError, match=r"is 0.9, below one spacing: families would be empty. Use at least 1.015"):
         pd.Case(particles=PLATE, horizon=pd.Horizon(0.9), material=MATERIALS["hencky"], conditions=[])
 
 

@@ -481,7 +481,7 @@ def test_weights_that_would_be_others_are_refused_and_large_changes_said():
 
 def test_particles_without_a_surface_are_refused():
     plate = shaken_plate()
-    with pytest.raises(pd.CaseError, match="have no known surface"):
+    with pytest.raises(pd.CaseError, match="has no known surface"):
         pd.prepare(uniform(pd.Arrays(plate.x, plate.volume), 0.26, [pd.region.All(), pd.region.All()]))
 
 
@@ -658,9 +658,9 @@ def test_resultants_are_those_of_particles_not_of_the_cell():
 
 
 def test_an_area_of_a_load_on_facets_is_refused():
-    with pytest.raises(pd.CaseError, match="takes no area"):
+    with pytest.raises(pd.CaseError, match="has no `area`"):
         pd.Traction(pd.region.All(), x=1.0, area=3.0)
-    with pytest.raises(pd.CaseError, match="takes no area"):
+    with pytest.raises(pd.CaseError, match="has no `area`"):
         pd.Pressure(pd.region.All(), 1.0, area=3.0)
 
 
@@ -714,13 +714,26 @@ def test_irregular_clouds_that_cannot_have_conforming_weights_keep_their_own_and
         (shaken, scarce, "widen the horizon"), (larger, {}, "encloses a volume"), (unknown, {}, "no known surface"),
     ):  # fmt: skip
         found, note = of_case(pulled(particles, **changes), tmp_path)
-        assert "standard weights on an irregular cloud, where they need not converge" in note and why in note
+        assert "standard weights, which may not converge here. " in note and why in note
         assert found == of_case(pulled(particles, weights=pd.Standard(), **changes), tmp_path)[0]
         with pytest.raises(pd.CaseError, match=why):
             pd.run(pulled(particles, weights=pd.Conforming(), **changes), tmp_path)
     # Where a load needs the surface as well, a wrong one is refused.
     with pytest.raises(pd.CaseError, match="encloses a volume"):
         pd.run(pulled(larger, conditions=[*pulled(larger).conditions, pd.Pressure(pd.region.All(), 1.0)]), tmp_path)
+
+
+def test_a_crack_between_nodes_leaves_standard_weights_and_a_warning_that_names_the_way_out(tmp_path, caplog):
+    nodes = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125)
+    _, note = of_case(pulled(nodes, cracks=[pd.Segment((0.6, 0.55), (1.4, 0.55))]), tmp_path)
+    why = (
+        "standard weights, which may not converge here. LatticeNodes has no faces of cracks, as conforming weights and "
+        "surface loads need. Use a Lattice with the cracks."
+    )
+    assert note.endswith(why)
+    assert [record.message for record in caplog.records if record.levelname == "WARNING"] == [
+        f"The run used {why} Otherwise compare two spacings."
+    ]
 
 
 def test_bonds_have_no_weights_by_default(tmp_path):
@@ -841,7 +854,7 @@ def test_corners_of_a_lattice_share_its_cells_and_faces(low, high, cut):
 
 
 def test_corners_have_no_cracks():
-    with pytest.raises(pd.CaseError, match="which corners do not have; take a Lattice"):
+    with pytest.raises(pd.CaseError, match=r"LatticeNodes has no faces of cracks, .* Use a Lattice with the cracks"):
         pieces(pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), 0.51, cracks=[pd.Segment((0.6, 0.6), (0.9, 0.6))])
 
 

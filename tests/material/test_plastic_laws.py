@@ -553,10 +553,10 @@ def test_one_time_goes_by_in_a_case(tmp_path):
     maxwell, elastic = pd.Maxwell(100.0, 0.3, shear=[1.0], times=[1.0], duration=1.0), pd.LinearElastic(100.0, 0.3)
     warm = pd.Thermal(pd.Graded(perzyna(2.0), graded), 1e-3)
     for one, other, heat, names in (
-        (perzyna(1.0), perzyna(100.0), None, "J2 of material 1 has a duration of 1 where J2 of material 2 has 100"),
-        (kinematic(1.0), warm, None, "KinematicJ2 of material 1 has a duration of 1 where J2 of material 2 has 2"),
-        (elastic, maxwell, pd.HeatConduction(duration=3.0), "Maxwell of .* duration of 1 where HeatConduction has 3"),
-        (warm, maxwell, None, "J2 of material 1 has a duration of 2 where Maxwell of material 2 has 1"),
+        (perzyna(1.0), perzyna(100.0), None, "J2 of material 1 has 1, J2 of material 2 has 100"),
+        (kinematic(1.0), warm, None, "KinematicJ2 of material 1 has 1, J2 of material 2 has 2"),
+        (elastic, maxwell, pd.HeatConduction(duration=3.0), "Maxwell of .* has 1, HeatConduction has 3"),
+        (warm, maxwell, None, "J2 of material 1 has 2, Maxwell of material 2 has 1"),
     ):
         with pytest.raises(pd.CaseError, match=names):
             made(one, other, heat)

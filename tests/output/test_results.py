@@ -404,9 +404,9 @@ def test_fields_of_runs_are_compared_at_the_same_points_and_step_times(two):
 
 
 def test_what_cannot_be_compared_is_refused(two, tmp_path):
-    with pytest.raises(pd.CaseError, match="two runs or more, not 1"):
+    with pytest.raises(pd.CaseError, match="at least two runs, not 1"):
         pd.compare([two[0]])
-    with pytest.raises(pd.CaseError, match="put them into a list"):
+    with pytest.raises(pd.CaseError, match="requires a list of runs"):
         pd.compare(two[0])
     with pytest.raises(pd.CaseError, match="given twice"):
         pd.compare([two[0], two[0].folder])
@@ -433,7 +433,7 @@ def test_a_step_time_that_a_path_comes_to_again_is_refused(two, tmp_path, monkey
     both = pd.compare({"a": two[0], "b": two[1]})
     turn = {0: 0.0, 1: 0.5, 2: 1.0, 3: 0.5, 4: 0.25}
     monkeypatch.setattr(StoredFields, "time", lambda self, step=None: turn[self.steps[-1] if step is None else step])
-    with pytest.raises(pd.CaseError, match=r"b comes to step time 0\.5 in each of the steps 1, 3; compare"):
+    with pytest.raises(pd.CaseError, match=r"b has step time 0\.5 in steps 1, 3\. Compare"):
         both.difference("displacement", t=0.5)
     assert both.difference("displacement", t=1.0)["b"].shape == (72, 3)
 
@@ -458,7 +458,7 @@ def test_forces_on_particles_have_no_values_between_them(tmp_path):
         lambda: both.difference("reaction", points=[(2.5, 0.5)]),
         lambda: coarse.sample([(2.5, 0.5)], "reaction"),
     ):
-        with pytest.raises(pd.CaseError, match=r"force on each particle.*add those of field\('reaction'\) up"):
+        with pytest.raises(pd.CaseError, match=r"force per particle.*Sum field\('reaction'\) over a region"):
             asked()
     # Of the same particles they are compared one by one.
     again = pulled("again", 2)

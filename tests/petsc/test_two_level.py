@@ -273,7 +273,7 @@ def test_the_command_line_tunes_both_levels_and_refuses_what_is_wrong(tmp_path):
         "-ksp_view", output=tmp_path / "a",
     )  # fmt: skip
     assert tuned.returncode == 0, tuned.stderr
-    assert "type is ADDITIVE" in tuned.stdout and "nothing used the option -mg" not in tuned.stdout + tuned.stderr
+    assert "type is ADDITIVE" in tuned.stdout and "No solver used the option -mg" not in tuned.stdout + tuned.stderr
     wrong = run("runs/bench/box.py", *words, "-mg_coarse_pc_type", "nonsense", output=tmp_path / "b", ranks=2)
     assert wrong.returncode == 2 and "PETSc refused the solver options" in wrong.stderr
 

@@ -575,7 +575,7 @@ def test_invariants_are_fields_components_and_quantities(tmp_path):
     assert result.history["highest"][-1] == pytest.approx(result.field("von_mises").max())
     assert result.field("principal_stresses").shape == (36, 3)
     assert not result.field("damage_dissipation").any()
-    with pytest.raises(pd.CaseError, match="takes none as component, not 'x'"):
+    with pytest.raises(pd.CaseError, match="requires no letter as component, not 'x'"):
         pd.Mean(pd.von_mises, "x")
 
 

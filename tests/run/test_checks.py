@@ -79,7 +79,7 @@ def test_what_was_checked_is_on_record_and_a_second_run_in_the_folder_has_its_ow
     assert pd.open(tmp_path).check()[0].ok
     pd.run(made(off=2.0), tmp_path)
     assert "checks" not in summary(tmp_path)
-    with pytest.raises(pd.CaseError, match="nothing to check"):
+    with pytest.raises(pd.CaseError, match="has no `expect` with these parameters"):
         pd.open(tmp_path).check()
 
 
@@ -101,10 +101,10 @@ def test_a_result_that_is_nan_or_missing_fails(made, tmp_path):
 
 
 def test_where_nothing_is_expected_a_check_is_refused_before_the_run(made, tmp_path):
-    with pytest.raises(pd.CaseError, match="nothing to check"):
+    with pytest.raises(pd.CaseError, match="has no `expect` with these parameters"):
         pd.run(made(expects=False), tmp_path / "out", check=True)
     assert not (tmp_path / "out" / "summary.json").exists()
-    with pytest.raises(pd.CaseError, match="expects a result 'force' and has none"):
+    with pytest.raises(pd.CaseError, match="names the result 'force', and the case has no `results`"):
         pd.Case(
             particles=pd.Lattice((0.0,), (4.0,), 1.0), horizon=1.5, material=pd.Hencky(1.0, nu=0.0), conditions=[],
             expect={"force": pd.Expected(1.0, relative=0.1, source="nothing")},
@@ -130,7 +130,7 @@ def test_a_run_goes_on_whatever_its_case_expects_by_now(made, tmp_path):
         ({"absolute": -1.0}, ">= 0"),
         ({"relative": 0.1, "source": " "}, "source"),
         ({"relative": 0.1, "source": "two\nlines"}, "source"),
-        ({"value": 0.0, "relative": 0.1}, "Nothing is relative"),
+        ({"value": 0.0, "relative": 0.1}, "has no relative tolerance"),
         ({"value": math.inf, "relative": 0.1}, "finite"),
         ({"value": math.nan, "relative": 0.1}, "a finite number"),
     ],
@@ -151,7 +151,7 @@ def test_an_expectation_of_exactly_a_number_holds_for_it_alone():
     [
         (1, (), 0, ""),
         (2, ("off=2.0",), 1, "pdpetsc: 1 of 1 checks failed: force is 40"),
-        (2, ("expects=false",), 2, "pdpetsc: There is nothing to check"),
+        (2, ("expects=false",), 2, "pdpetsc: The case has no `expect`"),
     ],
 )
 def test_the_command_line_ends_with_the_status_of_the_checks(strip, ranks, words, status, said, tmp_path):

@@ -1,6 +1,7 @@
 """Defaults that suit the body, and notes of a run on what its case does not resolve."""
 
 import dataclasses
+import re
 import sys
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.integrate import quad
 import pdpetsc as pd
 from pdpetsc.output.report import _notes
 from pdpetsc.running.notes import jump_note
+from pdpetsc.running.thin import thin_note
 from tests.commands import ROOT, script_on
 
 sys.path.append(str(ROOT / "runs" / "convergence"))
@@ -148,6 +150,17 @@ def test_the_scheme_is_chosen_by_what_gradients_see(changes, scheme):
 def test_a_material_that_flows_has_a_control_that_follows(tmp_path):
     metal = pd.J2(E=1.0, nu=0.48, yield_stress=1e-4, hardening=0.01)
     assert pd.prepare(pulled(material=metal)).case.control == pd.TangentScaled(BY_SHEAR)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [({}, True), ({"scheme": pd.SubHorizons()}, False), ({"material": pd.LinearElastic(E=1.0, nu=0.3)}, False)],
+)
+def test_a_better_scheme_for_plastic_flow_is_a_detail_of_the_log(changes, told, tmp_path, caplog):
+    caplog.set_level("DEBUG", "pdpetsc")
+    summary = run(pulled(**({"material": pd.J2(E=1.0, nu=0.3, yield_stress=1.0)} | changes)), tmp_path)
+    told_at = [record.levelname for record in caplog.records if "pd.TangentScaled(pd.Silling(0.5))" in record.message]
+    assert told_at == (["DEBUG"] if told else []) and summary["notes"] == []
 
 
 SUGGESTED = "scheme=pd.MeanDilatation(pd.Correspondence(), patch=2 * spacing), control=pd.ByShear(pd.Silling(0.5))."
@@ -380,6 +393,40 @@ def test_an_irregular_cloud_without_a_horizon_has_two_local_spacings(tmp_path):
     x = np.random.default_rng(1).uniform(-0.2, 0.2, (48, 2)) + SQUARE.chunk(0, 1).x
     cloud = pd.prepare(pulled(horizon=None, particles=pd.Arrays(x, np.full(48, 1.0)))).cloud
     assert cloud.horizon == pytest.approx(pd.Horizon(2.015).ratio)
+
+
+def beam(n=3, load=None, **changes):
+    """Return a cantilever of 8 by 1 with ``n`` particles over its height and a load at its end, here across it."""
+    load = pd.Force(pd.region.Slab("x", low=7.5), y=1e-3) if load is None else load
+    held = {"conditions": [pd.Clamp("-x"), load], "material": pd.LinearElastic(E=1000.0, nu=0.0, plane="stress")}
+    return pd.Case(**{"particles": pd.Lattice((0.0, 0.0), (8.0, 1.0), 1.0 / n)} | held | changes)
+
+
+PULL = pd.Traction("+y", y=1.0), pd.Traction("-y", y=-1.0)
+COUPLE = pd.Traction(pd.region.Named("+x"), x=lambda x, t: t * (x[:, 1] - 0.5))
+
+
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [
+        (beam(), "2 horizons thick along y: .* use 12 cells over it, or horizon=0.3383$"),
+        (beam(load=pd.Displacement("+x", y=1e-3)), "2 horizons thick"),
+        (beam(load=COUPLE), "2 horizons thick"),
+        (beam(6, horizon=3.015 / 6, material=pd.BondBased(E=1.0, plane="stress")), "use 24 cells over it$"),
+        (beam(6), ""),
+        (beam(3, horizon=1.015 / 3), ""),
+        (beam(load=pd.Traction("+x", x=1.0)), ""),
+        (beam(conditions=[pd.Displacement("-y", x=0.0, y=0.0), pd.Displacement("+y", y=1e-3)]), ""),
+        (beam(conditions=[pd.Displacement("-x", x=0.0, y=0.0), *PULL]), ""),
+        (beam(particles=pd.LatticeNodes((0.0, 0.0), (8.0, 1.0), 1.0 / 3)), ""),
+        (beam(particles=pd.Lattice((0.0, 0.0), (3.0, 1.0), 1.0 / 3), load=pd.Force("+x", y=1e-3)), ""),
+    ],
+)  # fmt: skip
+def test_a_thin_body_that_bends_is_noted(case, words):
+    """Not a body in tension, between platens or under the same pull on both sides."""
+    prepared = pd.prepare(case)
+    note = thin_note(prepared.case, prepared.problem)
+    assert re.search(words, note) if words else note == ""
 
 
 def test_a_lattice_that_is_held_inside_its_surface_is_told(tmp_path, caplog):

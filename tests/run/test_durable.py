@@ -863,8 +863,8 @@ def test_fields_have_the_names_of_a_mapping(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ([lambda s: s.u, lambda s: s.x], "no name that a file could hold"),
-        ([functools.partial(pd.displacement)], "no name that a file could hold"),
+        ([lambda s: s.u, lambda s: s.x], "no name for files"),
+        ([functools.partial(pd.displacement)], "no name for files"),
         ({"a": lambda s: np.zeros(3)}, "numbers for each of 40 particles"),
         ({"a": lambda s: np.zeros((40, 4))}, "must be \\(40,\\)"),
         ({"a": lambda s: np.full(40, "a")}, "must return numbers"),
@@ -913,7 +913,7 @@ class Judged(pd.Quantity):
 
     def doubt(self, solution):
         if solution.t > 0.5:
-            raise ValueError("nobody knows")
+            raise ValueError("faces between its cells are unknown")
         return ""
 
 
@@ -921,7 +921,7 @@ def test_a_diagnostic_that_fails_costs_nothing_that_is_computed(tmp_path):
     pd.run(strip(), output=tmp_path / "whole")
     judged = Judged()
     case = strip()
-    with pytest.raises(pd.RunError, match="nobody knows"):
+    with pytest.raises(pd.RunError, match="faces between its cells are unknown"):
         pd.run(dataclasses.replace(case, history={**case.history, "broken": judged}), output=tmp_path / "part")
     assert judged.evaluated == [0, 0, 1, 2]  # tried once, then once a step
     assert history(tmp_path / "part").splitlines() == history(tmp_path / "whole").splitlines()[:4]

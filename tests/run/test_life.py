@@ -351,7 +351,7 @@ def test_the_summary_names_the_options_and_those_that_nothing_used(case):
     code, said, _, found = ended(case, "steps=1", f"options={options}", "-ksp_type", "cg", "-snes_monitr")
     assert code == 0
     assert len(said) == 1
-    assert "nothing used the options" in said[0]
+    assert "No solver used the options" in said[0]
     assert sorted(found["unused_options"]) == ["snes_monitr", "snes_rtl"]
     assert found["options"]["snes_rtol"] == {"value": "1e-09", "from": "case"}
     assert found["options"]["ksp_type"] == {"value": "cg", "from": "command line"}
@@ -606,6 +606,24 @@ def test_no_cache_at_all_costs_the_cache_only(cached, monkeypatch):
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
     assert kernel(cached)(2.0) == 4.0
     assert "no locator" in cache_trouble()
+
+
+def test_the_log_says_how_long_and_how_often_kernels_are_compiled(cached, monkeypatch, caplog):
+    def first_compilation(tell):
+        tell()
+        return contextlib.nullcontext()
+
+    monkeypatch.setattr("pdpetsc.running.runner.first_compilation", first_compilation)
+    monkeypatch.setattr("pdpetsc.running.runner.cache_trouble", lambda: "PermissionError: no")
+    caplog.set_level("INFO", "pdpetsc")
+    held = pd.Displacement(pd.region.All(), x=0.0, y=0.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0), material=pd.LinearElastic(E=1.0, nu=0.3), conditions=[held]
+    )
+    pd.run(case, cached / "out")
+    said = [record.message for record in caplog.records]
+    assert said[0] == "compiling kernels, 20 s to 2 min, once for each kind of case, processor and version ..."
+    assert "cannot be written: PermissionError: no. Set NUMBA_CACHE_DIR to a folder of yours." in said[1]
 
 
 def test_kernels_work_without_a_compiler(monkeypatch):

@@ -117,7 +117,7 @@ def test_a_face_of_which_nothing_is_known_is_refused(rng, tmp_path):
     x, volume = grid((12, 6), (1.0, 1.0))
     shaken = pd.Arrays(x + rng.uniform(-0.1, 0.1, x.shape), volume)
     traction = pd.Traction(region.Slab("x", low=11.0), x=2.0, normal=(1.0, 0.0))
-    with pytest.raises(pd.CaseError, match="give the Traction a normal and the area of its face"):
+    with pytest.raises(pd.CaseError, match="give each Traction a normal and an area"):
         resultant(strip(shaken, (1.2, 1.2), traction), tmp_path)
     for distribution in ("layer", "consistent"):
         given = pd.Traction(
@@ -471,6 +471,18 @@ def clamped(particles, support, **given):
     )  # fmt: skip
 
 
+def test_the_reaction_of_a_clamped_lattice_is_that_of_its_layers(tmp_path):
+    """A bar of 10 x 2 pulled by 3 on its end: the side that Clamp holds carries the load."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (10.0, 2.0), 0.5),
+        horizon=1.5075,
+        material=pd.LinearElastic(E=100.0, nu=0.3, plane="stress"),
+        conditions=[pd.Clamp("-x"), pd.Traction("+x", x=3.0)],
+        history={"support": pd.Reaction("x", "-x")},
+    )
+    assert pd.run(case, tmp_path).history["support"][-1] == pytest.approx(-6.0, rel=1e-9)
+
+
 def test_a_lattice_has_layers_and_mirror_planes_beyond_its_supports():
     lattice = pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5)
     held = pd.prepare(clamped(lattice, pd.Clamp("-x")))
@@ -486,11 +498,11 @@ def test_a_lattice_has_layers_and_mirror_planes_beyond_its_supports():
 def test_a_side_that_no_particle_is_on_is_refused(support):
     x, volume = grid((8, 4), (0.5, 0.5))
     cloud = pd.Arrays(x, np.full(len(x), volume))
-    with pytest.raises(pd.CaseError, match="lie behind it"):
+    with pytest.raises(pd.CaseError, match="are behind it"):
         pd.prepare(clamped(cloud, support))
     with pytest.raises(pd.CaseError, match="no side '-z'"):
         pd.prepare(clamped(pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5), pd.Clamp("-z")))
-    with pytest.raises(pd.CaseError, match="takes the axis"):
+    with pytest.raises(pd.CaseError, match="requires `axis`"):
         pd.Roller("a set")
 
 

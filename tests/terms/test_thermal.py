@@ -543,7 +543,7 @@ def test_strain_that_a_body_has_without_stress_drives_no_damage():
     heated = pd.Temperature(pd.region.All(), 20.0)
     material = pd.Thermal(pd.LinearElastic(10.0, nu=0.0), 1e-3)
     strain = pd.LinearSoftening(pd.MazarsStrain(1e-3), ratio=5.0)
-    with pytest.raises(pd.CaseError, match="drives damage is the whole strain"):
+    with pytest.raises(pd.CaseError, match="Strain-based criteria use the total strain"):
         pd.prepare(block(material, heated, damage=strain))
 
 

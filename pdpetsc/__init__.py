@@ -51,6 +51,7 @@ from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Seg
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
+from pdpetsc.declare.modes import Modes
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.rigid_surface import RigidSurface
 from pdpetsc.declare.schedule import Hold, Ramp, Table
@@ -209,6 +210,7 @@ __all__ = [
     "MeanStress",
     "Mesh",
     "MeshNodes",
+    "Modes",
     "Newton",
     "OnSurface",
     "Opening",

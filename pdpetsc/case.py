@@ -17,6 +17,7 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.horizon import AnyHorizon, Horizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
+from pdpetsc.declare.modes import Modes
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import AnySolver, Newton, Opening
@@ -136,6 +137,8 @@ class Case(Declared):
         What the named results should be, with these parameters; compared where the run is asked to (``--check``).
     units : Units, optional
         What the units of length and force are called in pictures, tables and the report; nothing is converted.
+    modes : Modes, optional
+        Natural frequencies or buckling factors of the last equilibrium.
     """
 
     particles: Particles
@@ -163,6 +166,7 @@ class Case(Declared):
     heat: HeatConduction | None = None
     expect: Mapping[str, Expected] = field(default_factory=dict)
     units: Units | None = None
+    modes: Modes | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -346,7 +350,7 @@ class Case(Declared):
                     f"A quantity of the history cannot be named {shown(name)}: names are columns of a table, without "
                     f"commas, semicolons, quotes, line ends and outer blanks."
                 )
-        if self.expect and self.results is None:
+        if self.expect and self.results is None and self.modes is None:
             raise CaseError(
                 f"`expect` names the result {next(iter(self.expect))!r}, and the case has no `results`. Add "
                 f"results=lambda h: {{...}}."

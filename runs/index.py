@@ -27,6 +27,7 @@ FOLDERS = {
     "fracture": "Cracks, softening, complete separation",
     "localisation": "Where damage localises: periodic cells, event by event",
     "contact": "Contact with rigid tools",
+    "stability": "Natural frequencies and buckling loads",
     "own": "A material and a force of one's own",
     "dog_bone": "A body from a mesh",
     "bench": "Timings, memory, scaling: `python runs/bench/all.py --quick`",

@@ -13,11 +13,11 @@ import scipy
 
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.declare.influence import Influence, evaluate
-from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.interior import interior
+from pdpetsc.material.base import Dense
 from pdpetsc.material.linear_elastic import LinearElastic
 
 # Families count as largest if their moment is within this share of the largest moment.
@@ -110,7 +110,7 @@ class BondStiffness:
 
 
 @dataclass(frozen=True)
-class BondMaterial(Declared, ABC):
+class BondMaterial(Dense, ABC):
     """A material whose forces act along bonds.
 
     Parameters
@@ -124,6 +124,8 @@ class BondMaterial(Declared, ABC):
     kinematics : {"small", "finite"}
         ``small``: bonds keep their direction and elongate by ``n . eta``; forces are linear in the displacement.
         ``finite``: bonds rotate and elongate by ``|xi + eta| - |xi|``.
+    density : float, optional
+        Mass per reference volume [mass / volume], given by keyword; needed for natural frequencies only.
 
     Attributes
     ----------

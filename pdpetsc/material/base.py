@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declared import Bound, Declared
+from pdpetsc.declared import Bound, Declared, Positive
 
 # Kinds of bodies: solid, plane strain, plane stress, bar.
 Kind = Literal["solid", "strain", "stress", "bar"]
@@ -52,11 +52,26 @@ class HistoryKernels(NamedTuple):
     commit: Callable[..., None]
 
 
-class Material(Declared, ABC):
+@dataclass(frozen=True)
+class Dense(Declared):
+    """What has a density, given by keyword.
+
+    Parameters
+    ----------
+    density : float, optional
+        Mass per reference volume [mass / volume]; needed for natural frequencies only.
+    """
+
+    density: Positive | None = field(default=None, kw_only=True, repr=False)
+
+
+class Material(Dense, ABC):
     """A material law: stress at a point as a function of the deformation gradient.
 
     Attributes
     ----------
+    density : float or None
+        Mass per reference volume [mass / volume], given by keyword; needed for natural frequencies only.
     plane : {"strain", "stress"}
         Plane strain or plane stress of a two-dimensional body: no strain or no stress out of plane.
     """

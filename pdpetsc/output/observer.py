@@ -138,6 +138,10 @@ class Observer:
         """Return the entries of ``summary.json``, from the records of all steps."""
         return {}
 
+    def results(self) -> Mapping[str, float]:
+        """Return named results besides those of the case (not collective)."""
+        return {}
+
     def warnings(self, steps: StepRecords) -> Sequence[str]:
         """Return the sentences that a user should read at the end."""
         return ()

@@ -16,6 +16,7 @@ from pdpetsc.post.of_terms import fields_of_terms, numbers_of_terms
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.doubts import Doubts
 from pdpetsc.running.fragments import DetachedParticles, Fragments
+from pdpetsc.running.modes import FoundModes
 from pdpetsc.running.stabilisation_energy import StabilisationEnergy
 from pdpetsc.running.stability import Stability
 from pdpetsc.running.unbalanced_surface import UnbalancedForces
@@ -40,6 +41,7 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         CrackLines(case.history.values()),
         Fragments(),
         UnbalancedForces(case),
+        *([] if case.modes is None else [FoundModes(case, case.modes)]),
         Stability(case.solver.finds_load),
         FinalPicture(case.picture),
     ]

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,6 +120,23 @@ class Result(Mapping[str, float]):
     def x(self) -> Float:
         """Return the reference positions of all particles (n, 3) in creation order [length] (not collective)."""
         return np.asarray(self.fields.of_particles("position"))
+
+    def mode(self, number: int) -> Float:
+        """Return the shape of a mode of ``Case.modes`` (n, dim), counted from 1, in creation order (not collective).
+
+        Shapes of frequencies have the modal mass 1; the largest component of shapes of buckling is 1.
+
+        Raises
+        ------
+        CaseError
+            The run did not compute it.
+        """
+        path = self.folder / "modes.h5"
+        count = len((self.summary.get("modes") or {}).get("values", ()))
+        if not 1 <= number <= count:
+            raise CaseError(f"{self.folder} has {count} modes, and no mode {number}.")
+        with h5py.File(path, "r") as file:
+            return np.asarray(file["shape"][number - 1], dtype=float)
 
     @property
     def results(self) -> dict[str, float]:

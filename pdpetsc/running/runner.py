@@ -301,6 +301,8 @@ class _Run:
         self.signals.patient = False
         with agreed(record.comm):
             results = named_numbers(case.results(history.columns)) if case.results is not None else {}
+        for observer in record.observers:
+            results |= observer.results()
         if self.expect is not None:
             # An error on one rank applies to all.
             self.checks = record.comm.bcast(compared(self.expect, results) if is_root(record.comm) else None)

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import SolveError
 from pdpetsc.petsc.library import (
     effort,
     full_steps,
@@ -135,19 +136,30 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         sought.forget()
         return found
 
+    def flexibility(self, u: Float, t: float, rtol: float) -> Callable[[Float], Float]:
+        """Return the inverse of the tangent at an equilibrium."""
+        sought, ksp, supports = self._equilibrium, self.snes.getKSP(), self.problem.supports
+        sought.impose(t)
+        ksp.setTolerances(rtol=rtol)
+        state = self.problem.state(u, t)
+        sought.update(state)
+
+        def solve(force: Float) -> Float:
+            if self._all_prescribed:
+                return np.zeros_like(u)
+            found, _ = self._linear_step(u, state, supports.reduced(force))
+            if ksp.getConvergedReason() < 0:
+                raise SolveError("The tangent of the last equilibrium cannot be solved: the linear solver failed.")
+            return supports.completed(found)
+
+        return solve
+
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
-        if self._all_prescribed:
-            return np.zeros_like(u)
-        sought, ksp = self._equilibrium, self.snes.getKSP()
-        sought.impose(t)
-        ksp.setTolerances(rtol=RESPONSE)
         try:
-            sought.update(self.problem.state(u, t))
-            found, _ = self._linear_step(u, self.problem.state(u, t), self.problem.supports.reduced(force))
-        except PETSc.Error:  # the run has ended, and is valid without it
+            return self.flexibility(u, t, RESPONSE)(force)
+        except (PETSc.Error, SolveError):  # the run has ended, and is valid without it
             return None
-        return None if ksp.getConvergedReason() < 0 else self.problem.supports.completed(found)
 
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from the extrapolated last step; return the linear iterations, None if that fails."""

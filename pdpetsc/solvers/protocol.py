@@ -203,6 +203,14 @@ class Solver(ABC):
         """
         return None
 
+    def flexibility(self, u: Float, t: float, rtol: float) -> Callable[[Float], Float] | None:
+        """Return the inverse of the tangent at an equilibrium: displacements (n_rows, dim) from forces (collective).
+
+        None if this solver has no tangent. The function is collective, solves to the relative tolerance ``rtol`` and
+        raises SolveError if that fails. No load step may follow.
+        """
+        return None
+
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; return displacements (n_rows, dim) [length] (collective).
 

@@ -1,7 +1,7 @@
 """Thick neo-Hookean ring inflated at finite strain, plane strain, against the radial equilibrium of the same law.
 
 Radii 1 and 2, a pressure p on the inner surface, dead or on the deformed surface (``follower=yes``). The reference
-solves ``d P_r / dR + (P_r - P_t) / R = 0`` with ``P_r(1) = -p``, times the stretch of the hole if the pressure follows, and
+solves ``d P_r / dR + (P_r - P_t) / R = 0`` with ``P_r(1) = -p``, times the stretch of the hole if it follows, and
 ``P_r(2) = 0`` by collocation. ``mesh``, ``shake`` and ``n`` are those of ``ring.py``. The hole grows by 43 %; with
 ``follower=yes pressure=0.23`` to twice its radius.
 """

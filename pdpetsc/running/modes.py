@@ -1,0 +1,251 @@
+"""Natural frequencies and buckling factors of the last equilibrium of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.case import Case, ungraded
+from pdpetsc.declare.modes import Modes
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.discrete.communicator import Comm, agreed, is_root, largest, total
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.output.observer import Observer, StepRecords
+from pdpetsc.output.progress import Report
+from pdpetsc.post.solution import Solution
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.build import materials_of
+from pdpetsc.solvers.protocol import Solver
+
+# Relative accuracy of linear solves and of eigenvalues.
+EXACT = 1e-10
+
+
+class FoundModes(Observer):
+    """Computes the modes of the last equilibrium and writes their shapes."""
+
+    def __init__(self, case: Case, declared: Modes) -> None:
+        self._case, self._declared = case, declared
+        self._values: list[float] = []
+
+    def rehearse(self, start: Solution, report: Report) -> None:
+        """Refuse what has no modes."""
+        refuse_modes(self._case, self._declared, start.problem)
+
+    def judge(self) -> None:
+        """Compute the modes, print them and write ``modes.h5``."""
+        observed, declared = self.observed, self._declared
+        problem, last = observed.problem, observed.last
+        if declared.of == "frequency":
+            values, shapes = frequencies(self._case, problem, observed.solver, last.unknowns, last.t, declared.count)
+        else:
+            values, shapes = buckling(problem, observed.solver, last.unknowns, last.t, declared.count)
+        self._values = values
+        if len(values) < declared.count:
+            observed.report.say(f"{len(values)} of {declared.count} modes: the load makes no more of them unstable")
+        parts = [list(observed.order.parts_on_root(shape)) for shape in shapes]
+        with agreed(observed.comm):
+            if is_root(observed.comm):
+                size = problem.body.cloud.n_global
+                with h5py.File(observed.folder / "modes.h5", "w") as file:
+                    file[declared.of] = values
+                    shape = file.create_dataset("shape", (len(values), size, problem.dim))
+                    for number, rows in enumerate(parts):
+                        for where, part in rows:
+                            shape[number, where] = part
+
+    def results(self) -> Mapping[str, float]:
+        """Return the frequencies or factors by name."""
+        return dict(zip(self._declared.names, self._values, strict=False))
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return the kind of modes and their values."""
+        return {"modes": {"of": self._declared.of, "values": self._values}}
+
+
+def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
+    """Raise CaseError on all ranks if the modes of a case cannot be computed (collective)."""
+    wrong = ""
+    if problem.damage is not None or case.heat is not None or problem.body.cloud.n_virtual:
+        wrong = "a body without damage, heat conduction and periodic cell"
+    elif not problem.symmetric:
+        wrong = "a symmetric tangent: no friction and no pressure that follows"
+    elif not isinstance(case.solver, Newton):
+        wrong = "the tangent of load steps: let the solver be Newton()"
+    if wrong:
+        raise CaseError(f"Modes need {wrong}.")
+    free = int(total(problem.body.cloud.comm, np.count_nonzero(~problem.supports.fixed)))
+    if free <= declared.count + 1:
+        raise CaseError(f"A body of {free} unknowns has no {declared.count} modes that could be sought; ask for fewer.")
+    if declared.of == "frequency":
+        without = [type(ungraded(one)).__name__ for _, one in case.materials if ungraded(one).density is None]
+        if without:
+            raise CaseError(f"Modes need the density of each material, and {without[0]} has none.")
+
+
+def masses(case: Case, problem: Problem) -> Float:
+    """Return the masses of the own particles (n_owned,) [mass] (collective)."""
+    materials = materials_of(case, problem.body.cloud)
+    density = np.array([one.density or 0.0 for one in materials.materials])
+    found: Float = density[materials.index] * problem.body.cloud.volume[: problem.body.cloud.n_owned]
+    return found
+
+
+def frequencies(
+    case: Case, problem: Problem, solver: Solver, u: Float, t: float, count: int
+) -> tuple[list[float], list[Float]]:
+    """Compute frequencies [1 / time] and shapes (n_owned, dim) with unit modal mass, lowest first.
+
+    The largest eigenvalues of ``M^1/2 C (C^T K C)^-1 C^T M^1/2`` are the smallest of ``C^T (K - w^2 M) C``; C are the
+    constraints.
+
+    Raises
+    ------
+    SolveError
+        The tangent cannot be solved, or the iteration does not converge.
+
+    Notes
+    -----
+    Collective.
+    """
+    root = np.sqrt(masses(case, problem))[:, None]
+    flexible = _flexibility(solver, u, t)
+    n = problem.body.cloud.n_owned
+
+    def operator(y: Float) -> Float:
+        force = np.zeros_like(u)
+        force[:n] = root * y.reshape(n, -1)
+        return np.asarray(root * flexible(force)[:n]).ravel()
+
+    def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
+        A = scipy.sparse.linalg.LinearOperator((size, size), apply["A"], dtype=float)
+        found: tuple[Float, Float] = scipy.sparse.linalg.eigsh(A, count, v0=start, tol=EXACT)
+        return found
+
+    values, vectors = _led(problem, {"A": operator}, np.ones((n, problem.dim), dtype=bool), solve)
+    found = []
+    for value, y in zip(values, vectors, strict=True):
+        f = float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value))))
+        found.append((f, y / root))
+    found.sort(key=lambda one: (one[0] > 0.0, abs(one[0]) * np.sign(one[0])))
+    return [f for f, _ in found], [shape for _, shape in found]
+
+
+def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -> tuple[list[float], list[Float]]:
+    """Compute positive buckling factors [-], lowest first, and shapes (n_owned, dim) whose largest component is 1.
+
+    Errors as for ``frequencies``. Collective.
+    """
+    supports, n = problem.supports, problem.body.cloud.n_owned
+    rest = np.zeros_like(u)
+    flexible = _flexibility(solver, rest, 0.0)
+    stiff = problem.linearised(problem.state(rest, 0.0))
+    loaded = problem.linearised(problem.state(u, t))
+    free = ~supports.fixed[:n]
+
+    def unpacked(y: Float) -> Float:
+        values = np.zeros_like(u)
+        values[:n][free] = y
+        return values
+
+    def against(*signed: tuple[float, Callable[[Float], Float]]) -> Callable[[Float], Float]:
+        def product(y: Float) -> Float:
+            moved, force = supports.completed(unpacked(y)), np.zeros_like(u)
+            for sign, tangent in signed:
+                force += sign * tangent(moved)
+            return np.asarray(supports.reduced(force)[:n][free])
+
+        return product
+
+    def inverse(y: Float) -> Float:
+        # The forces are those on independent unknowns already.
+        return np.asarray(flexible(unpacked(y))[:n][free])
+
+    def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
+        A, M, Minv = (
+            scipy.sparse.linalg.LinearOperator((size, size), apply[name], dtype=float) for name in ("A", "M", "Minv")
+        )
+        found: tuple[Float, Float] = scipy.sparse.linalg.eigsh(A, count, M, Minv=Minv, which="LA", v0=start, tol=EXACT)
+        return found
+
+    operators = {"A": against((1.0, stiff), (-1.0, loaded)), "M": against((1.0, stiff)), "Minv": inverse}
+    values, vectors = _led(problem, operators, free, solve)
+    found = []
+    for value, y in zip(values, vectors, strict=True):
+        if value > 0.0:
+            shape = supports.completed(unpacked(y[free]))[:n]
+            size = largest(problem.body.cloud.comm, float(np.abs(shape).max(initial=0.0)))
+            found.append((1.0 / float(value), shape / size))
+    found.sort(key=lambda one: one[0])
+    return [factor for factor, _ in found], [shape for _, shape in found]
+
+
+def _flexibility(solver: Solver, u: Float, t: float) -> Callable[[Float], Float]:
+    found = solver.flexibility(u, t, EXACT)
+    assert found is not None
+    return found
+
+
+def _led(
+    problem: Problem, operators: Mapping[str, Callable[[Float], Float]], taken: Mask,
+    solve: Callable[[Mapping[str, Callable[[Float], Float]], int, Float], tuple[Float, Float]],
+) -> tuple[Float, list[Float]]:  # fmt: skip
+    """Let rank 0 solve an eigenproblem of distributed operators; return eigenvalues and eigenvectors (n_owned, dim).
+
+    Rank 0 alone decides which operator is applied next, so that rounding cannot part the ranks.
+
+    Parameters
+    ----------
+    operators : mapping of str to callable
+        Operators on the entries ``taken`` of this rank; collective.
+    taken : (n_owned, dim) bool
+        Unknowns of the eigenproblem.
+    solve : callable
+        Gets operators on the unknowns of all ranks, their number and a start, and returns eigenvalues and eigenvectors.
+    """
+    comm, cloud = problem.body.cloud.comm, problem.body.cloud
+    counts = np.array(comm.allgather(int(taken.sum())))
+    size, parts = int(counts.sum()), np.cumsum(counts)[:-1]
+    gid = cloud.gid[: cloud.n_owned, None].astype(float)
+    start = comm.gather(np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))[taken])
+
+    def spread(name: str, y: Float) -> Float:
+        """Apply an operator, on all ranks together; called on rank 0."""
+        comm.bcast(name)
+        return _applied(comm, operators[name], np.split(np.ravel(y), parts))
+
+    found: tuple[Float, Float] | None = None
+    wrong = ""
+    if is_root(comm):
+        assert start is not None
+        try:
+            apply = {name: (lambda y, name=name: spread(name, y)) for name in operators}
+            found = solve(apply, size, np.concatenate(start))
+        except scipy.sparse.linalg.ArpackError as error:
+            wrong = " ".join(str(error).split())
+        comm.bcast(None)
+    else:
+        while (name := comm.bcast(None)) is not None:
+            _applied(comm, operators[name], [])
+    wrong = comm.bcast(wrong)
+    if wrong:
+        raise SolveError(f"The modes of the last equilibrium were not found: {wrong}.")
+    values = comm.bcast(None if found is None else found[0])
+    vectors = []
+    for number in range(len(values)):
+        part = comm.scatter([] if found is None else np.split(found[1][:, number], parts))
+        vector = np.zeros((cloud.n_owned, problem.dim))
+        vector[taken] = part
+        vectors.append(vector)
+    return values, vectors
+
+
+def _applied(comm: Comm, operator: Callable[[Float], Float], parts: list[Float]) -> Float:
+    """Apply an operator to the parts that rank 0 holds; return the whole result on rank 0 (collective)."""
+    gathered = comm.gather(operator(comm.scatter(parts)))
+    return np.zeros(0) if gathered is None else np.concatenate(gathered)

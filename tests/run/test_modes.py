@@ -1,0 +1,115 @@
+"""Natural frequencies and buckling factors: closed forms, benchmarks, ranks, units, shapes, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import pdpetsc as pd
+from tests.commands import results
+
+LENGTH, E, RHO = 10.0, 1000.0, 2.0
+
+
+def bar(count=3, unit=1.0, modulus=E, density=RHO, **changes):
+    """Return a bar of nodes, held at one end."""
+    given = {
+        "particles": pd.LatticeNodes((0.0,), (LENGTH * unit,), 0.1 * unit),
+        "horizon": 0.2015 * unit,
+        "material": pd.LinearElastic(E=modulus, nu=0.0, density=density),
+        "conditions": [pd.Clamp("-x")],
+        "modes": pd.Modes(count),
+    }
+    return pd.Case(**{**given, **changes})
+
+
+def along(k):
+    """Return the frequencies of a bar with one free end."""
+    return (2 * np.arange(1, k + 1) - 1) / (4.0 * LENGTH) * np.sqrt(E / RHO)
+
+
+def test_a_bar_vibrates_as_it_should(tmp_path):
+    run = pd.run(bar(), tmp_path)
+    found = [run[f"frequency_{number}"] for number in (1, 2, 3)]
+    np.testing.assert_allclose(found, along(3), rtol=2e-3)
+    # Shapes are sines, with unit modal mass.
+    x = run.x[:, 0]
+    exact = np.sqrt(2.0 / (RHO * LENGTH)) * np.sin(0.5 * np.pi * x / LENGTH)
+    np.testing.assert_allclose(np.abs(run.mode(1)[:, 0]), exact, atol=2e-3)
+    with pytest.raises(pd.CaseError, match="3 modes, and no mode 4"):
+        run.mode(4)
+
+
+def test_a_bar_of_bonds_and_one_of_two_materials(tmp_path):
+    """A heavy half: ``tan(w l / c_1) tan(w l / c_2) = c_2 / c_1`` for halves of length l of the same stiffness."""
+    run = pd.run(bar(1, material=pd.BondBased(E, calibration="lattice", density=RHO)), tmp_path / "bonds")
+    assert run["frequency_1"] == pytest.approx(along(1)[0], rel=0.03)
+    right = pd.region.Slab("x", low=0.5 * LENGTH)
+    light, heavy = (pd.LinearElastic(E=E, nu=0.0, density=density) for density in (RHO, 4.0 * RHO))
+    run = pd.run(bar(1, material=[(~right, light), (right, heavy)]), tmp_path / "two")
+    c1, c2, half = np.sqrt(E / RHO), np.sqrt(E / RHO) / 2.0, 0.5 * LENGTH
+    w = brentq(lambda w: np.tan(w * half / c1) * np.tan(w * half / c2) - c2 / c1, 1e-3, 0.99 * 0.5 * np.pi * c2 / half)
+    assert run["frequency_1"] == pytest.approx(w / (2.0 * np.pi), rel=0.01)
+
+
+def strip(stretch):
+    """Return a thin strip that is held at both ends and stretched."""
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (20.0, 0.5), 0.125),
+        horizon=0.125 * 2.015,
+        material=pd.NeoHookean(E=E, nu=0.0, plane="stress", density=RHO),
+        conditions=[pd.Clamp("-x"), pd.Displacement("+x", x=20.0 * stretch, y=0.0)],
+        modes=pd.Modes(1),
+    )
+
+
+def test_tension_raises_a_frequency_and_compression_beyond_buckling_makes_it_negative(tmp_path):
+    """By Rayleigh ``f^2 = f_0^2 + 12.30 T / (4 pi^2 rho A L^2)`` for the first mode of a clamped beam."""
+    none, pulled, pressed = (
+        pd.run(strip(stretch), tmp_path / str(stretch))["frequency_1"] for stretch in (0.0, 0.0004, -0.01)
+    )
+    assert pulled**2 - none**2 == pytest.approx(12.30 * 0.0004 * E / (4.0 * np.pi**2 * RHO * 20.0**2), rel=0.05)
+    assert pressed < 0.0
+
+
+def test_units_and_ranks_change_nothing(tmp_path):
+    one = pd.run(bar(2), tmp_path / "one")
+    other = pd.run(bar(2, 1e15, 1e-10, 1e-20), tmp_path / "other")
+    scale = np.sqrt(1e-10 / E / (1e-20 / RHO)) / 1e15
+    assert other["frequency_2"] / scale == pytest.approx(one["frequency_2"], rel=1e-8)
+    command = ["runs/stability/columns.py", "n=4", "supports=pinned"]
+    found = [results(*command, ranks=n, output=tmp_path / str(n))["results"]["buckling_1"] for n in (1, 2, 3)]
+    np.testing.assert_allclose(found[1:], found[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("supports", ["free", "pinned", "clamped_pinned", "clamped"])
+def test_columns_buckle_at_the_load_of_euler(supports, tmp_path):
+    results("runs/stability/columns.py", "n=4", f"supports={supports}", "--check", output=tmp_path)
+
+
+def test_a_tapered_membrane_has_the_frequencies_of_the_benchmark(tmp_path):
+    results("runs/stability/modes.py", "n=12", "--check", output=tmp_path)
+
+
+def test_a_matrix_free_tangent_has_the_same_modes(tmp_path):
+    command = ["runs/stability/modes.py", "n=6"]
+    one = results(*command, output=tmp_path / "one")["results"]
+    other = results(*command, "-pd_jacobian", "matfree", output=tmp_path / "other")["results"]
+    for name, value in one.items():
+        assert other[name] == pytest.approx(value, rel=1e-7)
+
+
+def test_what_has_no_modes_is_refused(tmp_path):
+    with pytest.raises(pd.CaseError, match="density of each material, and LinearElastic has none"):
+        pd.run(bar(density=None), tmp_path / "a")
+    with pytest.raises(pd.CaseError, match="tangent of load steps"):
+        pd.run(bar(solver=pd.DynamicRelaxation()), tmp_path / "b")
+    with pytest.raises(pd.CaseError, match="fewer"):
+        pd.run(bar(200), tmp_path / "c")
+    tool = pd.RigidPlane((0.0, 0.51), (0.0, -1.0))
+    rubbed = dataclasses.replace(strip(0.0), conditions=[pd.Clamp("-x"), pd.Contact("+y", tool, 0.3)])
+    with pytest.raises(pd.CaseError, match="symmetric tangent"):
+        pd.run(rubbed, tmp_path / "d")

@@ -66,7 +66,7 @@ from pdpetsc.declare.solvers import (
     PathFollowing,
 )
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.declare.supports import Clamp, PointSupport, Roller
+from pdpetsc.declare.supports import Clamp, PointSupport, RigidRegion, Roller
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.text_file import TextFile
@@ -103,6 +103,7 @@ from pdpetsc.post.quantities import (
     OnSurface,
     Quantity,
     Reaction,
+    ReactionMoment,
     RelativeError,
     StrainEnergy,
 )
@@ -232,12 +233,14 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "ReactionMoment",
     "Refinement",
     "RelativeError",
     "Result",
     "RigidBox",
     "RigidCylinder",
     "RigidPlane",
+    "RigidRegion",
     "RigidSphere",
     "RigidSurface",
     "RigidTool",

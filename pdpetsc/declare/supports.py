@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
+from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Condition, Displacement, VectorCondition, condition_name
+from pdpetsc.declare.motion import RigidMotion
 from pdpetsc.declare.particles import WHOLE_CELLS, Lattice, Particles
-from pdpetsc.declare.region import Face, Named, Region
+from pdpetsc.declare.region import Face, Region
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.errors import CaseError
 
@@ -42,6 +46,55 @@ class _Support(Condition):
 
 
 @dataclass(frozen=True)
+class RigidRegion(RigidMotion, _Support):
+    """Move a side or a region as a rigid body, with finite rotations.
+
+    Particles are chosen as by ``Clamp``; of a ``Lattice`` also those of any region, which are then held themselves.
+    ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it.
+
+    Parameters
+    ----------
+    region : Region or str
+        A side, ``"-x"`` to ``"+z"``, or the name of a set or a region.
+    move, turn, about, schedule
+        As for ``RigidMotion``.
+
+    Raises
+    ------
+    CaseError
+        In a case: vectors of another dimension, or a rotation without ``about``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> rolled = pd.RigidRegion("+x", turn=3.0, move=(-2.0, 1.0), about=(10.0, 0.0))
+    >>> twisted = pd.RigidRegion("+z", turn=(0.0, 0.0, 1.5), about=(0.0, 0.0, 5.0))
+    """
+
+    def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
+        """Return the lattice with layers as deep as the horizon beyond a side, unless it has layers there."""
+        return (_with_layers(lattice, self.region.side, horizon) if isinstance(self.region, Face) else lattice), []
+
+    def put(self, onto: Any, name: str) -> None:
+        """Prescribe all components."""
+        dim = onto.body.dim
+        RigidMotion.check(self, dim)
+        free = isinstance(onto.particles, Lattice) or not isinstance(self.region, Face)
+        region = self.region if free else self._on(onto.particles)
+
+        def component(axis: int) -> Callable[[Float, float], Float]:
+            def value(x: Float, t: float) -> Float:
+                R, d = self.motion(t, dim)
+                around = np.asarray(self.about, dtype=float) if self.turns else np.zeros(dim)
+                return np.asarray(((x - around) @ (R - np.eye(dim)).T + d)[:, axis])
+
+            return value
+
+        x, y, z = (component(axis) if axis < dim else None for axis in range(3))
+        onto.displacement(Displacement(region, x, y, z), name)
+
+
+@dataclass(frozen=True)
 class Clamp(_Support):
     """Clamp a side of the body: no displacement.
 
@@ -67,18 +120,11 @@ class Clamp(_Support):
 
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
         """Return the lattice with layers as deep as the horizon, unless it has layers there."""
-        side = self._side().side
-        if side in lattice.fictitious:
-            return lattice, []
-        depth = max(int(horizon / lattice.spacing * (1.0 + WHOLE_CELLS)), 1) * lattice.spacing
-        return replace(lattice, fictitious={**lattice.fictitious, side: depth}), []
+        return _with_layers(lattice, self._side().side, horizon), []
 
     def put(self, onto: Any, name: str) -> None:
         """Prescribe zero for all components."""
-        if isinstance(onto.particles, Lattice):
-            region: Region = Named(f"fictitious {self._side().side}")
-        else:
-            region = self._on(onto.particles)
+        region = self._side() if isinstance(onto.particles, Lattice) else self._on(onto.particles)
         dim = onto.body.dim
         held = Displacement(region, 0.0, 0.0 if dim > 1 else None, 0.0 if dim > 2 else None)
         onto.displacement(held, name)
@@ -170,6 +216,14 @@ class PointSupport(VectorCondition):
     def put(self, onto: Any, name: str) -> None:
         """Constrain one particle of the patch by the others."""
         onto.mean_displacement(self, name)
+
+
+def _with_layers(lattice: Lattice, side: str, horizon: float) -> Lattice:
+    """Return a lattice with layers as deep as the horizon beyond a side, unless it has layers there."""
+    if side in lattice.fictitious:
+        return lattice
+    depth = max(int(horizon / lattice.spacing * (1.0 + WHOLE_CELLS)), 1) * lattice.spacing
+    return replace(lattice, fictitious={**lattice.fictitious, side: depth})
 
 
 def beyond_sides(

@@ -4,38 +4,27 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.conditions import Condition, evaluated
+from pdpetsc.declare.conditions import Condition
+from pdpetsc.declare.motion import RigidMotion
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.schedule import Ramp, Schedule
-from pdpetsc.declared import Declared, Finite, Fraction, NonNegative, Positive
+from pdpetsc.declared import Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 
 @dataclass(frozen=True)
-class RigidTool(Declared, ABC):
+class RigidTool(RigidMotion, ABC):
     """A rigid surface with a signed distance; derive from it for another shape.
-
-    A point X of the tool moves to ``R (X - c) + c + d`` with ``c = about``, ``d = schedule(t) move`` and the rotation
-    ``R`` by ``schedule(t) turn``.
 
     Parameters
     ----------
-    move : sequence of float, optional
-        Displacement of ``about`` at the end of the load (dim,) [length]; none by default.
-    turn : float or sequence of float
-        Rotation at the end of the load [rad]: the angle, anticlockwise, in 2D; the angle times the direction of the
-        axis in space (3,). None by default.
-    about : sequence of float, optional
-        The point (dim,) about which the tool turns [length].
-    schedule : callable, optional
-        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default.
+    move, turn, about, schedule
+        Its motion, as for ``RigidMotion``.
 
     Examples
     --------
@@ -43,11 +32,6 @@ class RigidTool(Declared, ABC):
     >>> isinstance(pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), pd.RigidTool)
     True
     """
-
-    move: Sequence[float] = field(default=(), kw_only=True)
-    turn: Finite | Sequence[float] = field(default=(), kw_only=True)
-    about: Sequence[float] = field(default=(), kw_only=True)
-    schedule: Schedule = field(default_factory=Ramp, kw_only=True)
 
     @abstractmethod
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
@@ -71,33 +55,10 @@ class RigidTool(Declared, ABC):
             Its second gradient [1 / length].
         """
 
-    def check(self, dim: int) -> None:
-        """Raise CaseError if vectors of the tool have another number of components than ``dim``."""
-        if len(self.move) not in (0, dim):
-            raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
-        numbers = np.ravel(self.turn)
-        if len(numbers) not in (0, 1 if dim == 2 else 3):
-            raise CaseError(
-                f"{type(self).__name__} turns by {len(numbers)} numbers in {dim} dimensions; give "
-                f"{'an angle' if dim == 2 else 'the angle times the direction of the axis'}."
-            )
-        if len(numbers) and len(self.about) != dim:
-            raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
-
-    def motion(self, t: float, dim: int) -> tuple[Float, Float]:
-        """Compute rotation (dim, dim) and displacement (dim,) [length] of the tool at a load parameter."""
-        factor = float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
-        moved = np.asarray(self.move, dtype=float) * factor if len(self.move) else np.zeros(dim)
-        numbers = np.ravel(self.turn)
-        if not len(numbers):
-            return np.eye(dim), moved
-        about = numbers if dim == 3 else np.array([0.0, 0.0, numbers[0]])
-        return scipy.spatial.transform.Rotation.from_rotvec(factor * about).as_matrix()[:dim, :dim], moved
-
     def relative(self, x: Float, u: Float, t: float) -> tuple[Float, Float]:
         """Compute the displacements (n, dim) [length] of points ``x`` as seen from the tool, and its rotation."""
         R, d = self.motion(t, x.shape[1])
-        if not len(np.ravel(self.turn)):
+        if not self.turns:
             return u - d, R
         return (u - d) @ R + (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1])), R
 
@@ -120,7 +81,7 @@ class RigidPlane(RigidTool):
     normal : sequence of float
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
     move, turn, about, schedule
-        As for ``RigidTool``.
+        As for ``RigidMotion``.
 
     Examples
     --------
@@ -158,7 +119,7 @@ class RigidBox(RigidTool):
     radius : float
         Radius of its edges and corners [length]; 0 by default.
     move, turn, about, schedule
-        As for ``RigidTool``.
+        As for ``RigidMotion``.
 
     Examples
     --------
@@ -211,7 +172,7 @@ class RigidSphere(RigidTool):
     hollow : bool
         If True, the body is inside of the ball.
     move, turn, about, schedule
-        As for ``RigidTool``.
+        As for ``RigidMotion``.
 
     Examples
     --------
@@ -248,7 +209,7 @@ class RigidCylinder(RigidTool):
     hollow : bool
         If True, the body is inside of the cylinder.
     move, turn, about, schedule
-        As for ``RigidTool``.
+        As for ``RigidMotion``.
 
     Examples
     --------

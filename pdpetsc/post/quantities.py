@@ -226,6 +226,49 @@ class Reaction(Quantity):
 
 
 @dataclass(frozen=True)
+class ReactionMoment(Quantity):
+    """Moment of the support forces in a region about a point, ``sum (x + u - about) x f`` [force length].
+
+    Parameters
+    ----------
+    region : Region
+        The particles.
+    about : sequence of float
+        A point at rest (dim,) [length].
+    axis : {"x", "y", "z"}
+        The component; z in 2D, anticlockwise.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> moment = pd.ReactionMoment("+x", about=(0.0, 0.0))
+    """
+
+    dimension = "force length"
+
+    region: Region
+    about: Sequence[float]
+    axis: Literal["x", "y", "z"] = "z"
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the point or the axis does not exist in ``dim`` dimensions."""
+        self.region.check(dim)
+        if len(self.about) != dim or dim == 1 or (dim == 2 and self.axis != "z"):
+            raise CaseError(
+                f"ReactionMoment takes a point of {dim} numbers in {dim} dimensions, and the axis z in 2D; it has "
+                f"{len(self.about)} numbers and the axis {self.axis}."
+            )
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the moment."""
+        mask = solution.select(self.region)
+        arm = (solution.x + solution.u - np.asarray(self.about, dtype=float))[mask]
+        force = reaction(solution)[mask]
+        a, b = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[self.axis]
+        return float(solution.sum(float((arm[:, a] * force[:, b] - arm[:, b] * force[:, a]).sum())))
+
+
+@dataclass(frozen=True)
 class _OfCell(Quantity):
     """A component of a symmetric tensor of the periodic cell."""
 

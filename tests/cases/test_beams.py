@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import tomllib
 
 from tests.commands import ROOT, field, results
 
@@ -165,15 +166,20 @@ def test_elastica_has_the_tabulated_values():
     assert elastica.tip(1.0) == pytest.approx((0.30172, 0.05643), abs=6e-6)
 
 
+def rows_of(name):
+    return tomllib.loads((ROOT / "runs" / "papers" / f"{name}.toml").read_text())["row"]
+
+
 @pytest.mark.long
 def test_figures_are_drawn_on_two_ranks(tmp_path):
-    words = [str(ROOT / ".ci/mpirun"), "2", sys.executable, "runs/beams/figures.py", str(tmp_path), "18"]
+    words = [str(ROOT / ".ci/mpirun"), "2", sys.executable, "runs/beams/figures.py", str(tmp_path), "9"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run(words, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)
     numbers = json.loads((tmp_path / "numbers.json").read_text())
-    # What the figures show is compared with the paper on one rank, by the rows of its tables.
-    assert numbers["fig_18_G_0.008_inside"] < 0.1 * numbers["fig_18_G_0_inside"]
-    assert (tmp_path / "fig_18.png").stat().st_size > 10_000
+    # On one rank the rows of the table compare it with the paper.
+    (row,) = (row for row in rows_of("hashim_beams") if row["result"] == "fig_9_side")
+    assert numbers["fig_9_side"] == pytest.approx(row["ours"], rel=1e-3)
+    assert (tmp_path / "fig_9.png").stat().st_size > 10_000
 
 
 @pytest.mark.long

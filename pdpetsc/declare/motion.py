@@ -1,0 +1,68 @@
+"""Rigid motions by schedules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.conditions import evaluated
+from pdpetsc.declare.schedule import Ramp, Schedule
+from pdpetsc.declared import Declared, Finite
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class RigidMotion(Declared):
+    """A rigid motion: a point X moves to ``R (X - c) + c + d``.
+
+    With the factor ``s(t)`` of the schedule, ``d = s move``, R is the rotation by ``s turn``, and ``c = about``.
+
+    Parameters
+    ----------
+    move : sequence of float, optional
+        Displacement of ``about`` at the end of the load (dim,) [length]; none by default.
+    turn : float or sequence of float
+        Rotation at the end of the load [rad]: the angle, anticlockwise, in 2D; the angle times the direction of the
+        axis in space (3,). None by default.
+    about : sequence of float, optional
+        The point (dim,) about which it turns [length].
+    schedule : callable, optional
+        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default.
+    """
+
+    move: Sequence[float] = field(default=(), kw_only=True)
+    turn: Finite | Sequence[float] = field(default=(), kw_only=True)
+    about: Sequence[float] = field(default=(), kw_only=True)
+    schedule: Schedule = field(default_factory=Ramp, kw_only=True)
+
+    @property
+    def turns(self) -> bool:
+        """Return True if a rotation is declared."""
+        return len(np.ravel(self.turn)) > 0
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if vectors have another number of components than ``dim``."""
+        if len(self.move) not in (0, dim):
+            raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
+        numbers = np.ravel(self.turn)
+        if len(numbers) not in (0, {2: 1, 3: 3}.get(dim, 0)):
+            raise CaseError(
+                f"{type(self).__name__} turns by {len(numbers)} numbers in {dim} dimensions; give "
+                f"{'an angle' if dim == 2 else 'the angle times the direction of the axis'}."
+            )
+        if len(numbers) and len(self.about) != dim:
+            raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
+
+    def motion(self, t: float, dim: int) -> tuple[Float, Float]:
+        """Compute rotation (dim, dim) and displacement (dim,) [length] at a load parameter."""
+        factor = float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
+        moved = np.asarray(self.move, dtype=float) * factor if len(self.move) else np.zeros(dim)
+        if not self.turns:
+            return np.eye(dim), moved
+        numbers = np.ravel(self.turn)
+        about = numbers if dim == 3 else np.array([0.0, 0.0, numbers[0]])
+        return scipy.spatial.transform.Rotation.from_rotvec(factor * about).as_matrix()[:dim, :dim], moved

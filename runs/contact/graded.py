@@ -1,0 +1,105 @@
+"""Nodes of quadrilaterals and hexahedra that grow away from a point of contact, of half planes, discs and balls."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import pdpetsc as pd
+from pdpetsc.declare.cells import Block, edge_lengths, facets, parts_of_facets, shares_of_nodes
+
+# Growth of the shells outside the core, in sides of their cells.
+GROWTH = 0.8
+# The shells are round from this distance on, in sizes of the core.
+ROUND = 6.0
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Nodes with their facets, and the mean length of the edges at each node (n,) [length]."""
+
+    particles: pd.Arrays
+    size: np.ndarray
+
+
+def corner(n, core, outer, dim):
+    """Return nodes (k, dim) and cells of the part of a ball of radius ``outer`` with all coordinates positive.
+
+    The square or cube of side ``core`` at the origin has ``n`` cells a side. Shells around it grow with the distance.
+    """
+    m = round(np.log(outer / core) / np.log1p(GROWTH / n))
+    index = np.stack(np.meshgrid(*[np.arange(n + 1)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    outline = index[index.max(axis=1) == n]
+    flat = outline / n
+    # Equal angles on the sphere.
+    turned = np.tan(0.25 * np.pi * flat)
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    parts = [core / n * index]
+    for k in range(1, m + 1):
+        radius = core * (outer / core) ** (k / m)
+        share = min(np.log(radius / core) / np.log(min(ROUND, outer / core)), 1.0)
+        share = share**2 * (3.0 - 2.0 * share)
+        parts.append(radius * ((1.0 - share) * flat + share * turned))
+    points = np.concatenate(parts)
+    number = {tuple(at): row for row, at in enumerate(index.tolist())}
+    place = {tuple(at): row for row, at in enumerate(outline.tolist())}
+    ways = [(0, 0), (1, 0), (1, 1), (0, 1)]
+
+    def node(shell, at):
+        return number[at] if shell == 0 else len(index) + (shell - 1) * len(outline) + place[at]
+
+    cells = []
+    corners = ways if dim == 2 else [(*way, z) for z in (0, 1) for way in ways]
+    for low in np.ndindex(*[n] * dim):
+        cells.append([number[tuple(np.add(low, way).tolist())] for way in corners])
+    sides = []
+    for axis in range(dim):
+        for low in np.ndindex(*[n] * (dim - 1)):
+            around = [(0,), (1,)] if dim == 2 else ways
+            sides.append([tuple(np.insert(np.add(low, way), axis, n).tolist()) for way in around])
+    for k in range(m):
+        for side in sides:
+            inner, far = [node(k, at) for at in side], [node(k + 1, at) for at in side]
+            cells.append([*inner, *far[::-1]] if dim == 2 else [*inner, *far])
+    return points, np.array(cells)
+
+
+def mirrored(points, cells):
+    """Return the nodes and cells with their mirror image across x = 0."""
+    on = np.abs(points[:, 0]) < 1e-12
+    image = np.where(on, np.arange(len(points)), len(points) + np.cumsum(~on) - 1)
+    return np.concatenate([points, points[~on] * np.where(np.arange(points.shape[1]) == 0, -1.0, 1.0)]), np.concatenate(
+        [cells, image[cells]]
+    )
+
+
+def ball(points, radius):
+    """Return the images of nodes of a half space in a ball that touches its surface at the origin.
+
+    The map is conformal, with unit scale at the origin; the half sphere of ``2 radius`` becomes the equator.
+    """
+    up = np.eye(points.shape[1])[-1]
+    far = points + 2.0 * radius * up
+    return 4.0 * radius**2 * far / (far**2).sum(axis=1)[:, None] * (1.0 - 2.0 * up) + 2.0 * radius * up
+
+
+def cloud(points, cells, touches):
+    """Return particles at nodes; ``touches(x)`` selects nodes of the surface, whose facets have the tag ``contact``."""
+    dim = points.shape[1]
+    block = _positive(points, Block("quad" if dim == 2 else "hexahedron", cells))
+    nodes, volume = shares_of_nodes(points, [block])
+    assert len(nodes) == len(points)
+    found = facets(points, [block])
+    corners = found.corners[found.free]
+    node, x, area, facet = parts_of_facets(points, corners, found.area[found.free])
+    on = np.where(corners >= 0, touches(points)[corners], True).all(axis=1)
+    surface = pd.Facets(x, area, node, tags={"contact": on[facet]})
+    return Cloud(pd.Arrays(points, volume, facets=surface), edge_lengths(points, [block]))
+
+
+def _positive(points, block):
+    """Return the cells with their corners in the order of positive volume."""
+    from pdpetsc.declare.cells import volumes_and_moments
+
+    turned = [0, 3, 2, 1] if block.kind == "quad" else [4, 5, 6, 7, 0, 1, 2, 3]
+    volume = volumes_and_moments(points, block)[0]
+    return Block(block.kind, np.where(volume[:, None] < 0.0, block.nodes[:, turned], block.nodes))

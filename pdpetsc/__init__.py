@@ -57,6 +57,7 @@ from pdpetsc.declare.rigid_surface import RigidSurface
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import (
     SOLVERS,
+    ArcLength,
     BondStretch,
     Dissipation,
     DynamicRelaxation,
@@ -145,6 +146,7 @@ __version__ = "0.2.0"
 __all__ = [
     "SOLVERS",
     "AdaptiveSteps",
+    "ArcLength",
     "Arrays",
     "At",
     "BilinearSoftening",

@@ -224,6 +224,35 @@ class Dissipation(Declared):
 
 
 @dataclass(frozen=True)
+class ArcLength(Declared):
+    """Measure of a path: its length, from the root mean square of the displacement increments over the volume.
+
+    It passes limit points of load and of displacement, for bodies that snap. A step goes on in the direction of the
+    step before, in the plane normal to it. The path does not turn back by itself, and a run cannot restart.
+
+    Parameters
+    ----------
+    step, end : float
+        Largest growth in a step, and the length at which the run ends [length], both positive.
+
+    References
+    ----------
+    deBorst2012, section 4.2 (updated normal plane).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(pd.ArcLength(step=0.1, end=4.0), first=0.01, until=0.0)
+    """
+
+    step: Positive
+    end: Positive
+
+    def check(self, dim: int) -> None:
+        """Accept every dimension."""
+
+
+@dataclass(frozen=True)
 class PathFollowing(DeclaredSolver):
     """Newton's method along the path of equilibria, with the load as an unknown; follows snap-back.
 
@@ -232,7 +261,7 @@ class PathFollowing(DeclaredSolver):
 
     Parameters
     ----------
-    measure : BondStretch, Opening or Dissipation
+    measure : BondStretch, Opening, Dissipation or ArcLength
         The quantity that grows in every step.
     first : float
         Growth of the load factor in the first step [-], in which no bond is stretched yet.
@@ -251,7 +280,7 @@ class PathFollowing(DeclaredSolver):
     >>> solver = pd.PathFollowing(first=0.01, until=0.05)
     """
 
-    measure: BondStretch | Opening | Dissipation = field(default_factory=BondStretch)
+    measure: BondStretch | Opening | Dissipation | ArcLength = field(default_factory=BondStretch)
     first: float = 1e-3
     smallest: float = 1e-4
     until: float = 0.01

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.solvers import BondStretch, Dissipation, Opening
+from pdpetsc.declare.solvers import ArcLength, BondStretch, Dissipation, Opening
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
@@ -28,6 +28,8 @@ class Measure(ABC):
     holds_while_bonds_break : bool
         Whether the measure keeps its meaning when bonds break. Equilibrium with fewer bonds is then sought at the value
         reached.
+    restarts : bool
+        Whether the measure is known from a converged state, so that a run can restart there.
 
     Notes
     -----
@@ -35,6 +37,7 @@ class Measure(ABC):
     """
 
     holds_while_bonds_break: bool
+    restarts: bool = True
 
     @abstractmethod
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
@@ -183,14 +186,63 @@ class DissipationMeasure(Measure):
         return False
 
 
+class ArcLengthMeasure(Measure):
+    """Compute the length of the path of the displacements, ``sum |du|`` with ``|du|^2 = int du . du dV / V``.
+
+    A step prescribes its growth along the direction of the step before, by the load factor in the first step.
+    """
+
+    holds_while_bonds_break = True
+    restarts = False
+
+    def __init__(self, problem: Problem, declared: ArcLength) -> None:
+        cloud = problem.body.cloud
+        self._end, self._comm = declared.end, cloud.comm
+        self._share = np.zeros((cloud.n_rows, 1))
+        volume = cloud.volume[: cloud.n_owned]
+        self._share[: cloud.n_owned, 0] = volume / float(total(cloud.comm, float(volume.sum())))
+        self._last: Float | None = None
+        self._direction: Float | None = None
+        self._length = 0.0
+
+    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+        """Return the growth along the last step from ``u``, or the load factor in the first step."""
+        if self._last is not None:
+            moved = u - self._last
+            size = self._size(moved)
+            if size > 0.0:
+                self._direction = moved / size
+                self._length += size
+        self._last = u.copy()
+        if self._direction is None:
+            return Constraint(np.zeros_like(u), 1.0, u, load), True
+        return Constraint(self._share * self._direction, 0.0, u, load), False
+
+    def reached(self, u: Float, load: float) -> float:
+        """Return the length of the path up to ``u`` [length]."""
+        return self._length if self._last is None else self._length + self._size(u - self._last)
+
+    def left(self, u: Float) -> float:
+        """Return the remaining length [length]."""
+        return self._end - self.reached(u, 0.0)
+
+    def at_end(self, u: Float) -> bool:
+        """Return True if the end is reached, up to round-off."""
+        return self.reached(u, 0.0) >= self._end * (1.0 - 1e-9)
+
+    def _size(self, du: Float) -> float:
+        return math.sqrt(float(total(self._comm, float((self._share * du**2).sum()))))
+
+
 # Class of each declared measure.
 MEASURES: dict[type, Callable[..., Measure]] = {
     BondStretch: StretchMeasure,
     Opening: OpeningMeasure,
     Dissipation: DissipationMeasure,
+    ArcLength: ArcLengthMeasure,
 }
 
 
-def measure_of(problem: Problem, declared: BondStretch | Opening | Dissipation) -> Measure:
+def measure_of(problem: Problem, declared: BondStretch | Opening | Dissipation | ArcLength) -> Measure:
     """Build the measure that a case declares (collective)."""
     return MEASURES[type(declared)](problem, declared)

@@ -1,0 +1,73 @@
+"""Shallow arch that snaps through: its path of equilibria by arc length. Any consistent units.
+
+A sinusoidal arch of span 20, rise 0.6 and height 0.5, plane stress, E = 1000, nu = 0, with both ends pinned. A load
+``q sin(k x)`` per length acts downwards, ``k = pi / 20``. The arch keeps its shape ``a sin(k x)``. With the thrust
+``N = E A k^2 (a_0^2 - a^2) / 4`` of a shallow arch, ``q = k^2 (N a + E I k^2 (a_0 - a))``: a maximum and a minimum,
+between which the load falls. It is too flat to give way to one side. ``n`` cells over the height.
+
+Results: ``upper``, the largest load over the exact one, ``lower``, the error of the least load, and ``furthest``, that
+of the whole path, both over the largest load.
+"""
+
+import numpy as np
+
+import pdpetsc as pd
+from pdpetsc.declare.cells import Block, facets, parts_of_facets, shares_of_nodes
+
+E, SPAN, RISE, HEIGHT = 1000.0, 20.0, 0.6, 0.5
+K = np.pi / SPAN
+
+
+def exact(a):
+    """Return the load per length at a rise."""
+    thrust = E * HEIGHT * K**2 * (RISE**2 - a**2) / 4.0
+    return K**2 * (thrust * a + E * HEIGHT**3 / 12.0 * K**2 * (RISE - a))
+
+
+# Rise at the limits of the load.
+LIMIT = np.sqrt((RISE**2 - HEIGHT**2 / 3.0) / 3.0)
+
+
+def particles(n):
+    """Return the nodes of quadrilaterals along the arch."""
+    m = round(SPAN / HEIGHT * n)
+    x, across = np.meshgrid(np.linspace(0.0, SPAN, m + 1), np.linspace(-0.5, 0.5, n + 1) * HEIGHT, indexing="ij")
+    points = np.stack([x, RISE * np.sin(K * x) + across], axis=2).reshape(-1, 2)
+    first = (np.arange(m)[:, None] * (n + 1) + np.arange(n)).ravel()
+    quads = Block("quad", np.stack([first, first + n + 1, first + n + 2, first + 1], axis=1))
+    nodes, volume = shares_of_nodes(points, [quads])
+    found = facets(points, [quads])
+    node, at, area, _ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
+    return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node)))
+
+
+def case(n=8, step=0.02, horizon=2.015):
+    whole = exact(LIMIT)
+
+    def results(h):
+        load, a = whole * np.array(h["t"]), RISE + np.array(h["top"])
+        near = np.abs(a) < 1.2 * LIMIT
+        return {
+            "upper": load[near & (a > 0.0)].max() / exact(LIMIT),
+            "lower": (load[near & (a < 0.0)].min() - exact(-LIMIT)) / whole,
+            "furthest": np.abs(load - exact(a)).max() / whole,
+        }
+
+    return pd.Case(
+        particles=particles(n),
+        horizon=horizon * HEIGHT / n,
+        material=pd.NeoHookean(E=E, nu=0.0, plane="stress"),
+        conditions=[
+            pd.PointSupport("-x", x=0.0, y=0.0),
+            pd.PointSupport("+x", x=0.0, y=0.0),
+            pd.BodyForce(pd.region.All(), y=lambda x, t: -t * whole / HEIGHT * np.sin(K * x[:, 0])),
+        ],
+        solver=pd.PathFollowing(pd.ArcLength(step=step, end=0.9), first=0.05, until=0.0),
+        history={"top": pd.Mean(pd.displacement, "y", pd.region.Nearest((0.5 * SPAN, RISE)))},
+        results=results,
+        expect={
+            "upper": pd.Expected(1.0, absolute=0.03, source="shallow arch"),
+            "lower": pd.Expected(0.0, absolute=0.1, source="shallow arch"),
+        },
+        picture=pd.Picture(pd.stress, "xx"),
+    )

@@ -1,0 +1,49 @@
+"""Paths by arc length: an arch that snaps through, ranks, restart."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.command_line.cli import load_case
+from tests.commands import ROOT, results
+
+ARCH = "runs/stability/arch.py"
+
+
+def test_an_arch_snaps_through(tmp_path):
+    """The load rises to a limit, falls and rises again, as that of a shallow arch; 1 and 2 ranks."""
+    one, two = (
+        results(ARCH, "n=4", "step=0.04", ranks=ranks, output=tmp_path / str(ranks))["results"] for ranks in (1, 2)
+    )
+    # At four cells over the height the arch is too stiff in bending.
+    assert one["upper"] == pytest.approx(1.0, abs=0.08)
+    assert one["lower"] == pytest.approx(0.0, abs=0.25)
+    for name, value in one.items():
+        assert two[name] == pytest.approx(value, rel=1e-5)
+
+
+def test_steps_have_the_length_that_they_should(tmp_path):
+    case = dataclasses.replace(load_case(ROOT / ARCH)(n=2, step=0.05), expect={}, results=None, picture=None)
+    run = pd.run(case, tmp_path)
+    t = run.history["t"]
+    assert (np.diff(t) > 0.0).any() and (np.diff(t) < 0.0).any()
+    last = np.zeros((len(run.x), 3))
+    lengths = []
+    for step in range(1, len(t)):
+        u = run.field("displacement", step)
+        lengths.append(np.sqrt(((u - last) ** 2).sum(axis=1).mean()))
+        last = u
+    # Nodes of half a cell count half, so that the plain mean differs a little.
+    assert max(lengths[1:]) < 0.05 * 1.1
+    assert sum(lengths) == pytest.approx(case.solver.measure.end, rel=0.05)
+
+
+def test_a_path_by_its_length_does_not_restart(tmp_path):
+    case = dataclasses.replace(load_case(ROOT / ARCH)(n=2, step=0.2), expect={}, results=None, picture=None)
+    pd.run(case, tmp_path / "first")
+    with pytest.raises(pd.CaseError, match="cannot restart: its direction"):
+        pd.run(case, tmp_path / "second", restart=tmp_path / "first")

@@ -13,7 +13,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -69,6 +69,11 @@ def _beside(path: Path) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
+def read_surface(path: Path) -> MeshData:
+    """Read the mesh of a surface, of an STL file or as ``read_mesh``."""
+    return _read(path, None, {**FORMATS, **OF_SURFACES})
+
+
 def read_mesh(path: Path, name: str | None) -> MeshData:
     """Read a mesh file.
 
@@ -84,12 +89,16 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
     CaseError
         The format is unknown, or the file is missing, damaged or not of that format.
     """
-    known = {ending: word for word, (endings, _) in FORMATS.items() for ending in endings}
+    return _read(path, name, FORMATS)
+
+
+def _read(path: Path, name: str | None, formats: _Formats) -> MeshData:
+    known = {ending: word for word, (endings, _) in formats.items() for ending in endings}
     word = known.get(path.suffix.lower()) if name is None else name
     if word is None:
         raise CaseError(
             f"Cannot tell the format of the mesh {path} from its ending; known are {', '.join(known)}. Use "
-            f"Mesh(format=...), one of {', '.join(FORMATS)}."
+            f"Mesh(format=...), one of {', '.join(formats)}."
         )
     if not path.is_file():
         raise CaseError(f"Cannot read the mesh {path}: file not found.")
@@ -106,7 +115,7 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
         ):
             # numpy only warns if it drops the last numbers of a file; the mesh would be wrong.
             warnings.filterwarnings("error", message="string or file could not be read to its end")
-            mesh = FORMATS[word][1](path)
+            mesh = formats[word][1](path)
             _check(mesh)
             return mesh
     except _TooLong:
@@ -249,7 +258,8 @@ def _read_nastran(path: Path) -> MeshData:
 
 
 # Mesh formats: endings and reader.
-FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
+_Formats: TypeAlias = dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]]
+FORMATS: _Formats = {
     "gmsh": ((".msh",), _read_gmsh),
     "abaqus": ((".inp",), abaqus.read),
     "exodus": ((".e", ".exo", ".ex2", ".g", ".gen"), exodus.read),
@@ -258,8 +268,10 @@ FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
     "nastran": ((".bdf", ".nas", ".fem"), _read_nastran),
     "xdmf": ((".xdmf", ".xmf"), _by_meshio("xdmf")),
     "med": ((".med",), _by_meshio("med")),
-    "stl": ((".stl",), _by_meshio("stl")),
 }
+
+# The same of surfaces, which bodies cannot be made of.
+OF_SURFACES: _Formats = {"stl": ((".stl",), _by_meshio("stl"))}
 
 
 def _of_meshio(mesh: Any) -> MeshData:

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.formats import read_mesh
+from pdpetsc.declare.formats import read_surface
 from pdpetsc.declare.tools import RigidTool
 from pdpetsc.declared import real_numbers
 from pdpetsc.errors import CaseError
@@ -75,7 +75,7 @@ class RigidSurface(RigidTool):
         move, turn, about
             As for ``RigidTool``.
         """
-        mesh = read_mesh(Path(path), None)
+        mesh = read_surface(Path(path))
         triangles = [block.nodes for block in mesh.blocks if block.dim == 2 and block.nodes.shape[1] == 3]
         if not triangles:
             raise CaseError(f"{path} holds no triangles; a RigidSurface needs the surface of the tool.")

@@ -110,7 +110,7 @@ WRONG = {
     "condition given twice": ((("low=1.0 - 1.0 / n)", "low=0.0)"),), (), "prescribes x of 4 particles a second time"),
     "rigid motion": (((LEFT, 'pd.Displacement(pd.region.Slab("x", high=1.0 / n), x=0.0)'),), (), "1 of 3 rigid"),
     "unknown set": ((('pd.region.Slab("x", high=1.0 / n)', 'pd.region.Named("left")'),), (), "no set 'left'"),
-    "component out of dimension": (((LEFT, LEFT.replace("y=0.0", "z=0.0")),), (), "component z of a 2-dim"),
+    "component out of dimension": (((LEFT, LEFT.replace("y=0.0", "z=0.0")),), (), "component z, and the body has 2"),
     "not a whole number of cells": ((("(1.0, 1.0), 1.0 / n", "(1.0, 1.1), 1.0 / n"),), (), "Side y .* not a whole"),
     "steps": ((("results=", "steps=pd.Steps(0), results="),), (), "Steps needs a positive whole number"),
     "checkpoint": ((), ("--restart", "nowhere.h5"), "Cannot read the checkpoint nowhere.h5"),

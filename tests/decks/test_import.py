@@ -895,7 +895,7 @@ def test_the_command_writes_a_case_that_runs(folder, capsys):
         (["plate.yaml", "-o", "bent.txt"], "ends in .py"),
         (["none.yaml"], "Cannot read the deck none.yaml"),
         (["plate.txt"], "Cannot read the deck plate.txt"),
-        (["plate.yaml", "--ignore"], "needs a value"),
+        (["plate.yaml", "--ignore"], "requires a value"),
         (["plate.yaml", "block.yaml"], "'block.yaml' is neither"),
         (["--static"], "No deck"),
     ):

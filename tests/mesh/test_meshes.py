@@ -888,7 +888,7 @@ def test_particles_in_a_plane_are_a_solid_where_that_is_said(tmp_path):
     path.write_text("0 0 5 1 1\n1 0 5 1 1\n0 1 5 1 1\n")
     assert whole(pd.TextFile(path))[0].shape == (3, 2)
     assert whole(pd.TextFile(path, dim=3))[0].shape == (3, 3)
-    with pytest.raises(pd.CaseError, match="out of the 1 dimensions"):
+    with pytest.raises(pd.CaseError, match="outside the first 1 coordinates, and dim=1"):
         whole(pd.TextFile(path, dim=1))
     with pytest.raises(pd.CaseError, match="1 or 2 or 3 or None as dim"):
         pd.TextFile(path, dim=4)

@@ -38,6 +38,7 @@ from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
     BodyForce,
+    Centrifugal,
     Displacement,
     FollowerPressure,
     Force,
@@ -161,6 +162,7 @@ __all__ = [
     "Cell",
     "CellStrain",
     "CellStress",
+    "Centrifugal",
     "CheckError",
     "Clamp",
     "Comparison",

@@ -198,6 +198,43 @@ class BodyForce(VectorCondition):
 
 
 @dataclass(frozen=True)
+class Centrifugal(Condition):
+    """Centrifugal force of a body that spins, ``rho w^2 P (x + u - c)`` per reference volume.
+
+    The body is seen from axes that turn with it; P projects onto the plane normal to the axis. The force follows the
+    deformation, with its exact tangent; ``w`` is the schedule times ``speed``. Materials need a ``density``.
+
+    Parameters
+    ----------
+    region : Region
+        The particles.
+    speed : float
+        Angular speed at the end of the load [rad / time].
+    about : sequence of float
+        A point c of the axis (dim,) [length].
+    axis : sequence of float
+        Direction of the axis in space (3,); the axis is normal to bodies of one or two dimensions.
+    schedule : callable, optional
+        Factor on ``speed`` as a function of the load parameter; ``Ramp()`` by default.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> spun = pd.Centrifugal(pd.region.All(), speed=300.0, about=(0.0, 0.0))
+    """
+
+    region: Region
+    speed: Positive
+    about: Sequence[float]
+    axis: Sequence[float] = (0.0, 0.0, 1.0)
+    schedule: Schedule = field(default_factory=Ramp)
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the force."""
+        onto.centrifugal(self, name)
+
+
+@dataclass(frozen=True)
 class Traction(VectorCondition):
     """Dead traction on a face of the body.
 

@@ -290,6 +290,12 @@ class OfParticles:
         """Return True if moduli differ between particles."""
         return self.factor is not None or any(one != self.materials[0] for one in self.materials)
 
+    @property
+    def density(self) -> Float | None:
+        """Return the density of each owned particle [mass / volume]; None unless all materials have one."""
+        found = [one.density for one in self.materials]
+        return None if None in found else np.array(found, dtype=float)[self.index]
+
     def bond_stiffness(self, bonds: Neighbourhood, moduli: Sequence[float]) -> Float:
         """Return the stiffness of bonds for one Young's modulus per material (n_bonds,) (collective)."""
         alike = [
@@ -317,7 +323,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
             "Strain-based criteria use the total strain and cannot be combined with thermal strain or eigenstrain. "
             "Use a stretch, energy or stress criterion."
         )
-    applied = apply(body, material_term, case.conditions, case.particles, case.steps.stops())
+    applied = apply(body, material_term, case.conditions, case.particles, case.steps.stops(), materials.density)
     supports, heat = applied.supports, None
     if case.expands:
         if case.heat is not None:

@@ -90,10 +90,10 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
 
 def masses(case: Case, problem: Problem) -> Float:
     """Return the masses of the own particles (n_owned,) [mass] (collective)."""
-    materials = materials_of(case, problem.body.cloud)
-    density = np.array([one.density or 0.0 for one in materials.materials])
-    found: Float = density[materials.index] * problem.body.cloud.volume[: problem.body.cloud.n_owned]
-    return found
+    cloud = problem.body.cloud
+    density = materials_of(case, cloud).density
+    assert density is not None
+    return density * cloud.volume[: cloud.n_owned]
 
 
 def frequencies(

@@ -9,6 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.conditions import (
     BodyForce,
+    Centrifugal,
     Condition,
     Displacement,
     FollowerPressure,
@@ -34,6 +35,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
+from pdpetsc.terms.centrifugal import CentrifugalForce
 from pdpetsc.terms.contact import STIFFNESS, ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
@@ -49,6 +51,8 @@ class Applied:
         As for ``DeadLoads``.
     times : sequence of float
         Load parameters that the run reaches exactly [-].
+    density : (n_owned,) float64, optional
+        Density of the own particles, if all materials have one [mass / volume].
 
     Attributes
     ----------
@@ -59,7 +63,8 @@ class Applied:
     """
 
     def __init__(
-        self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,)
+        self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,),
+        density: Float | None = None,
     ) -> None:  # fmt: skip
         self.body = body
         self.particles = particles
@@ -68,8 +73,9 @@ class Applied:
         self.supports = Supports(body, self.cell)
         self.loads = DeadLoads(body, material_term, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
-        # Forces on facets that depend on the displacement.
-        self.on_facets: list[Term] = []
+        # Forces that depend on the displacement.
+        self.following: list[Term] = []
+        self._density = density
         self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -80,7 +86,7 @@ class Applied:
     def terms(self) -> list[Term]:
         """Return the loads."""
         loads = [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
-        return [*loads, *self.on_facets]
+        return [*loads, *self.following]
 
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
@@ -124,6 +130,15 @@ class Applied:
         mask, components = self._where(condition, name)
         self.loads.add_per_volume(condition, components, np.flatnonzero(mask), name)
 
+    def centrifugal(self, condition: Centrifugal, name: str) -> None:
+        """Add a centrifugal force."""
+        cloud = self.body.cloud
+        if self._density is None:
+            raise CaseError(f"{name} needs the density of each material.")
+        chosen = select(cloud, condition.region, name)
+        mass = np.where(chosen, self._density * cloud.volume[: cloud.n_owned], 0.0)
+        self.following.append(CentrifugalForce(self.body, condition, mass, name))
+
     def traction(self, condition: Traction, name: str) -> None:
         """Add a traction."""
         mask, components = self._where(condition, name)
@@ -141,7 +156,7 @@ class Applied:
 
     def follower_pressure(self, condition: FollowerPressure, name: str) -> None:
         """Add a pressure on the deformed surface."""
-        self.on_facets.append(PressureOnDeformed(self.body, condition, name))
+        self.following.append(PressureOnDeformed(self.body, condition, name))
 
     def contact(self, condition: Contact, name: str) -> None:
         """Add the contact with a tool."""
@@ -156,7 +171,7 @@ class Applied:
         stiffness = condition.stiffness
         if stiffness is None:
             stiffness = STIFFNESS * largest(cloud.comm, self._material_term.kappa) / spacing
-        self.on_facets.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
+        self.following.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""
@@ -211,7 +226,7 @@ class Applied:
 
 def apply(
     body: Body, material_term: MaterialTerm, conditions: Sequence[Condition], particles: Particles,
-    times: Sequence[float] = (1.0,),
+    times: Sequence[float] = (1.0,), density: Float | None = None,
 ) -> Applied:  # fmt: skip
     """Build supports, loads and other prescribed quantities from conditions (collective).
 
@@ -223,6 +238,8 @@ def apply(
         Conditions of the case.
     times : sequence of float
         Load parameters at which conditions that hold the same particle must agree [-].
+    density : (n_owned,) float64, optional
+        Density of the own particles, if all materials have one [mass / volume].
 
     Raises
     ------
@@ -230,7 +247,7 @@ def apply(
         A region selects nothing, two conditions prescribe different values of the same particle, or a component is
         wrong. Or a traction acts on a face of unknown area.
     """
-    onto = Applied(body, material_term, particles, times)
+    onto = Applied(body, material_term, particles, times, density)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, condition_name(condition, number))
     try:

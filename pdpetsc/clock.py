@@ -16,11 +16,14 @@ class Clock(NamedTuple):
         Physical time [time]; the load parameter if no part of the case declares a duration.
     dt : float
         Physical time since the last converged step [time].
+    before : float
+        Load parameter of the last converged step [-].
     """
 
     load: float = 0.0
     time: float = 0.0
     dt: float = 0.0
+    before: float = 0.0
 
 
 START = Clock()

@@ -17,7 +17,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.interior import interior
-from pdpetsc.material.base import Dense
+from pdpetsc.material.base import WithDensity
 from pdpetsc.material.linear_elastic import LinearElastic
 
 # Families count as largest if their moment is within this share of the largest moment.
@@ -110,7 +110,7 @@ class BondStiffness:
 
 
 @dataclass(frozen=True)
-class BondMaterial(Dense, ABC):
+class BondMaterial(WithDensity, ABC):
     """A material whose forces act along bonds.
 
     Parameters

@@ -12,6 +12,8 @@ from pdpetsc.declared import Count, Declared
 class Modes(Declared):
     """The lowest modes of the body in its last equilibrium, or the loads at which it buckles.
 
+    With mirror planes they are those symmetric modes only. Facets that a ``Contact`` presses are held by its stiffness.
+
     Frequencies solve ``K phi = (2 pi f)^2 M phi`` with the tangent K of the last equilibrium and the masses ``M = rho
     V`` of the particles, from the ``density`` of their materials. A negative frequency -f stands for the growth
     ``exp(2 pi f t)`` of a mode in an unstable equilibrium.

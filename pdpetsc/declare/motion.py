@@ -57,9 +57,16 @@ class RigidMotion(Declared):
         if len(numbers) and len(self.about) != dim:
             raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
 
+    def _factor(self, t: float) -> float:
+        return float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
+
+    def angle(self, before: float, t: float) -> float:
+        """Compute the angle of the rotation between two load parameters [rad]."""
+        return float(np.linalg.norm(np.ravel(self.turn))) * abs(self._factor(t) - self._factor(before))
+
     def motion(self, t: float, dim: int) -> tuple[Float, Float]:
         """Compute rotation (dim, dim) and displacement (dim,) [length] at a load parameter."""
-        factor = float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
+        factor = self._factor(t)
         moved = np.asarray(self.move, dtype=float) * factor if len(self.move) else np.zeros(dim)
         if not self.turns:
             return np.eye(dim), moved

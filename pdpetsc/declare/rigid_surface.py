@@ -13,19 +13,22 @@ from numpy.typing import ArrayLike
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.formats import read_surface
+from pdpetsc.declare.schedule import Ramp, Schedule
 from pdpetsc.declare.tools import RigidTool
 from pdpetsc.declared import real_numbers
 from pdpetsc.errors import CaseError
 
 # Vertices closer than this share of the size of the tool are one: STL files repeat them for every triangle.
 SAME = 1e-9
+# A triangle has no area if it is below this share of the largest.
+FLAT = 1e-12
 # Pairs of points and parts of the surface that are compared at once.
 AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class RigidSurface(RigidTool):
-    """A rigid body within a closed surface.
+    """A rigid body within one or several closed surfaces.
 
     The normal at an edge or a corner is that of the distance outside, and the mean of the sides inside, weighted by
     their angles. A facet of the body outside of the box around the tool gets its distance from the box, which is
@@ -44,7 +47,7 @@ class RigidSurface(RigidTool):
     Raises
     ------
     CaseError
-        The surface is open: an edge belongs to one triangle, or to more than two.
+        A surface is open (an edge belongs to one triangle, or to more than two), or surfaces intersect.
 
     References
     ----------
@@ -62,7 +65,7 @@ class RigidSurface(RigidTool):
     @classmethod
     def read(
         cls, path: str | Path, unit: float = 1.0, move: Sequence[float] = (), turn: Sequence[float] = (),
-        about: Sequence[float] = (),
+        about: Sequence[float] = (), schedule: Schedule | None = None,
     ) -> RigidSurface:  # fmt: skip
         """Read a surface of triangles, such as an STL file.
 
@@ -72,14 +75,15 @@ class RigidSurface(RigidTool):
             A file of any format of ``Mesh``, or STL.
         unit : float
             Length of the unit of the file [length].
-        move, turn, about
+        move, turn, about, schedule
             As for ``RigidTool``.
         """
         mesh = read_surface(Path(path))
         triangles = [block.nodes for block in mesh.blocks if block.dim == 2 and block.nodes.shape[1] == 3]
         if not triangles:
             raise CaseError(f"{path} holds no triangles; a RigidSurface needs the surface of the tool.")
-        return cls(unit * np.asarray(mesh.points), np.concatenate(triangles), move=move, turn=turn, about=about)
+        points, parts = unit * np.asarray(mesh.points), np.concatenate(triangles)
+        return cls(points, parts, move=move, turn=turn, about=about, schedule=schedule or Ramp())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -148,9 +152,19 @@ class _Surface:
                 "The surface of a RigidSurface is open, or its parts are not turned alike: let each edge (each vertex "
                 "in 2D) belong to two parts, with all normals outwards or all inwards."
             )
-        corners = x[parts] - x.mean(axis=0)
-        if float(np.linalg.det(corners).sum()) < 0.0:
-            parts = parts[:, ::-1]
+        shells = [_outwards(x, shell) for shell in _shells(len(x), parts)]
+        if len(shells) > 1:
+            whole = [cls(x[np.unique(shell)], _renumbered(shell), _normals(x, shell)) for shell in shells]
+            for number, shell in enumerate(shells):
+                others = [one for other, one in enumerate(whole) if other != number]
+                within = [one.gap(x[np.unique(shell)])[0] < 0.0 for one in others]
+                if any(inside.any() != inside.all() for inside in within):
+                    raise CaseError("Surfaces of a RigidSurface intersect; join them, or use several contacts.")
+                if sum(bool(inside.all()) for inside in within) % 2:
+                    shells[number] = shell[:, ::-1]
+            parts = np.concatenate(shells)
+        else:
+            parts = shells[0]
         return cls(x, parts, _normals(x, parts))
 
     def gap(self, y: Float) -> tuple[Float, Float, Float]:
@@ -202,6 +216,25 @@ class _Surface:
         return sign * r, n, H
 
 
+def _shells(count: int, parts: GlobalIndex) -> list[GlobalIndex]:
+    """Return the connected parts of a surface of ``count`` vertices."""
+    ends = np.concatenate([parts[:, [0, c]] for c in range(1, parts.shape[1])])
+    graph = scipy.sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count))
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    of = label[parts[:, 0]]
+    return [parts[of == number] for number in np.unique(of)]
+
+
+def _outwards(x: Float, parts: GlobalIndex) -> GlobalIndex:
+    """Return the parts of one shell with their normals outwards."""
+    corners = x[parts] - x[parts].reshape(-1, x.shape[1]).mean(axis=0)
+    return parts[:, ::-1] if float(np.linalg.det(corners).sum()) < 0.0 else parts
+
+
+def _renumbered(parts: GlobalIndex) -> GlobalIndex:
+    return np.unique(parts, return_inverse=True)[1].reshape(parts.shape)
+
+
 def _is_closed(parts: GlobalIndex) -> bool:
     """Return True if each vertex (2D) or edge belongs to two parts, which go through it in opposite senses."""
     if parts.shape[1] == 2:
@@ -222,7 +255,10 @@ def _normals(x: Float, parts: GlobalIndex) -> Float:
         np.add.at(at, parts, own[:, None])
         return np.concatenate([at[parts], own[:, None]], axis=1)
     own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    own = own / np.linalg.norm(own, axis=1)[:, None]
+    size = np.linalg.norm(own, axis=1)
+    flat = size <= FLAT * size.max()
+    # Triangles without area, which STL files contain, have no normal.
+    own = np.where(flat[:, None], 0.0, own / np.where(flat, 1.0, size)[:, None])
     at = np.zeros_like(x)
     for c in range(3):
         one, other = (corners[:, (c + k) % 3] - corners[:, c] for k in (1, 2))
@@ -251,6 +287,7 @@ def _closest_of_triangle(y: Float, corners: Float) -> tuple[Float, GlobalIndex]:
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = (normal * normal).sum(axis=1)
+    square = np.where(square > 0.0, square, np.nan)
     # Barycentric coordinates of the projection onto the plane.
     shares = np.stack(
         [(np.cross(q - p, y - p) * normal).sum(axis=1) / square for p, q in ((b, c), (c, a), (a, b))], axis=1

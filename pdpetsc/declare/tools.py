@@ -246,7 +246,9 @@ class Contact(Condition):
     """Contact of a side of the body with a rigid tool, with Coulomb friction.
 
     The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
-    interpolated linearly from the particles near them. With the gap ``g`` of a facet the tool presses with
+    interpolated linearly from the particles near them. Only their centroids touch: a tool that is narrower than two
+    facets may enter between them. A step in which a tool passes through a facet, or turns by more than half a radian
+    with friction, is halved. With the gap ``g`` of a facet the tool presses with
     ``p = <p0 - stiffness g>``. The multiplier ``p0`` is 0; only where an equilibrium penetrates by more than
     ``penetration``, it becomes the pressure of that equilibrium, which is solved again, until none does. A facet sticks
     with a tenth of the stiffness until the shear traction is ``friction p``.
@@ -261,12 +263,13 @@ class Contact(Condition):
         Coefficient of friction [-]; 0 by default.
     stiffness : float, optional
         Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim`` over the
-        spacing.
+        mean spacing at the facets.
     penetration : float
-        Largest penetration over the spacing in an equilibrium [-]; 0.01 by default.
+        Largest penetration over that spacing in an equilibrium [-]; 0.01 by default.
     name : str
         Prefix of the columns ``NAME_x``, ``NAME_y`` (force of the tool on the body), ``NAME_area`` (area in contact)
-        and ``NAME_depth`` (largest penetration over the spacing) in the history.
+        and ``NAME_depth`` (largest penetration, or distance of a facet that is still pressed, over the spacing) in the
+        history.
 
     Raises
     ------

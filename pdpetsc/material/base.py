@@ -53,7 +53,7 @@ class HistoryKernels(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Dense(Declared):
+class WithDensity(Declared):
     """What has a density, given by keyword.
 
     Parameters
@@ -65,7 +65,7 @@ class Dense(Declared):
     density: Positive | None = field(default=None, kw_only=True, repr=False)
 
 
-class Material(Dense, ABC):
+class Material(WithDensity, ABC):
     """A material law: stress at a point as a function of the deformation gradient.
 
     Attributes

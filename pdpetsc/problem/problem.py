@@ -165,7 +165,7 @@ class Problem:
 
     def clock(self, t: float) -> Clock:
         """Return load parameter and physical time at a load parameter (not collective)."""
-        return Clock(t, t * self.duration, (t - self._converged) * self.duration)
+        return Clock(t, t * self.duration, (t - self._converged) * self.duration, self._converged)
 
     def state(self, u: Float, t: float = 0.0) -> State:
         """Return the state at unknowns (n_rows, dim) and a load parameter.
@@ -289,15 +289,19 @@ class Problem:
             self.last_step.commit(state)
         self._converged = state.t
 
-    def settle(self, state: State) -> bool:
+    def update_multipliers(self, state: State) -> bool:
         """Update the multipliers of all terms at an equilibrium; return True if it has to be solved again."""
-        return any([term.settle(state) for term in self.terms])
+        return any([term.update_multipliers(state) for term in self.terms])
+
+    def objection(self, state: State) -> str:
+        """Return the reason for which a term rejects an equilibrium as the end of a step; empty if none does."""
+        return next((why for why in [term.objection(state) for term in self.terms] if why), "")
 
     def revert(self) -> None:
         """Restore bonds, multipliers and solved fields of the last committed state."""
         self.revert_bonds()
         for term in self.terms:
-            term.revert_settled()
+            term.revert_multipliers()
         for field in self.fields:
             field.revert()
 

@@ -190,15 +190,19 @@ class Term(ABC):
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
         """Update after bonds have lost or regained force; if ``rebuild``, after bonds have broken or mended."""
 
-    def settle(self, state: State) -> bool:
-        """Update what is constant during a solve, such as multipliers, at its equilibrium.
+    def update_multipliers(self, state: State) -> bool:
+        """Update multipliers, which are constant during a solve, at its equilibrium.
 
         Return True on all ranks if the forces have changed, so that the step has to be solved again.
         """
         return False
 
-    def revert_settled(self) -> None:  # noqa: B027
-        """Restore what ``settle`` has updated since the last converged step."""
+    def revert_multipliers(self) -> None:  # noqa: B027
+        """Restore the multipliers of the last converged step."""
+
+    def objection(self, state: State) -> str:
+        """Return the reason to halve a step that ends in an equilibrium, the same on all ranks; empty for none."""
+        return ""
 
     def before_commit(self, state: State) -> None:  # noqa: B027
         """Read a converged state before any term updates its history."""

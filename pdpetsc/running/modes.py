@@ -20,10 +20,12 @@ from pdpetsc.output.progress import Report
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
-from pdpetsc.solvers.protocol import Solver
+from pdpetsc.solvers.protocol import Flexibility, Solver
 
 # Relative accuracy of linear solves and of eigenvalues.
 EXACT = 1e-10
+# Largest number of restarts of the eigensolver; modes that exist need some ten.
+ITERATIONS = 300
 
 
 class FoundModes(Observer):
@@ -41,13 +43,17 @@ class FoundModes(Observer):
         """Compute the modes, print them and write ``modes.h5``."""
         observed, declared = self.observed, self._declared
         problem, last = observed.problem, observed.last
+        planes = problem.body.cloud.places.planes
+        if planes:
+            axes = ", ".join("xyz"[axis] for axis in planes)
+            observed.report.say(f"modes of the whole body that are symmetric about the mirror planes across {axes}")
         if declared.of == "frequency":
             values, shapes = frequencies(self._case, problem, observed.solver, last.unknowns, last.t, declared.count)
         else:
             values, shapes = buckling(problem, observed.solver, last.unknowns, last.t, declared.count)
         self._values = values
         if len(values) < declared.count:
-            observed.report.say(f"{len(values)} of {declared.count} modes: the load makes no more of them unstable")
+            observed.report.say(f"{len(values)} of {declared.count} modes were found: the load causes no more")
         parts = [list(observed.order.parts_on_root(shape)) for shape in shapes]
         with agreed(observed.comm):
             if is_root(observed.comm):
@@ -72,13 +78,17 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
     """Raise CaseError on all ranks if the modes of a case cannot be computed (collective)."""
     wrong = ""
     if problem.damage is not None or case.heat is not None or problem.body.cloud.n_virtual:
-        wrong = "a body without damage, heat conduction and periodic cell"
+        wrong = "do not go with damage, heat conduction or a periodic cell"
+    elif problem.material_term.has_history:
+        wrong = "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     elif not problem.symmetric:
-        wrong = "a symmetric tangent: no friction and no pressure that follows"
+        wrong = "need a symmetric tangent: no friction and no pressure that follows"
     elif not isinstance(case.solver, Newton):
-        wrong = "the tangent of load steps: let the solver be Newton()"
+        wrong = "need the tangent of load steps: let the solver be Newton()"
+    elif declared.of == "buckling" and problem.material_term.linear:
+        wrong = "of buckling need a material for large rotations, such as NeoHookean"
     if wrong:
-        raise CaseError(f"Modes need {wrong}.")
+        raise CaseError(f"Modes {wrong}.")
     free = int(total(problem.body.cloud.comm, np.count_nonzero(~problem.supports.fixed)))
     if free <= declared.count + 1:
         raise CaseError(f"A body of {free} unknowns has no {declared.count} modes that could be sought; ask for fewer.")
@@ -116,6 +126,9 @@ def frequencies(
     root = np.sqrt(masses(case, problem))[:, None]
     flexible = _flexibility(solver, u, t)
     n = problem.body.cloud.n_owned
+    # The factor counts the unstable modes, whose eigenvalues are negative.
+    flexible(np.zeros_like(u))
+    unstable = flexible.negative_pivots() or 0
 
     def operator(y: Float) -> Float:
         force = np.zeros_like(u)
@@ -124,16 +137,17 @@ def frequencies(
 
     def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
         A = scipy.sparse.linalg.LinearOperator((size, size), apply["A"], dtype=float)
-        found: tuple[Float, Float] = scipy.sparse.linalg.eigsh(A, count, v0=start, tol=EXACT)
-        return found
+        kinds = [("LA", count)] if not unstable else [("SA", min(unstable, size - 1)), ("LA", count)]
+        parts = [_converged(A, most, which=which, v0=start) for which, most in kinds]
+        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts], axis=1)
 
     values, vectors = _led(problem, {"A": operator}, np.ones((n, problem.dim), dtype=bool), solve)
     found = []
     for value, y in zip(values, vectors, strict=True):
         f = float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value))))
         found.append((f, y / root))
-    found.sort(key=lambda one: (one[0] > 0.0, abs(one[0]) * np.sign(one[0])))
-    return [f for f, _ in found], [shape for _, shape in found]
+    found.sort(key=lambda one: one[0])
+    return [f for f, _ in found[:count]], [shape for _, shape in found[:count]]
 
 
 def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -> tuple[list[float], list[Float]]:
@@ -170,14 +184,13 @@ def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -
         A, M, Minv = (
             scipy.sparse.linalg.LinearOperator((size, size), apply[name], dtype=float) for name in ("A", "M", "Minv")
         )
-        found: tuple[Float, Float] = scipy.sparse.linalg.eigsh(A, count, M, Minv=Minv, which="LA", v0=start, tol=EXACT)
-        return found
+        return _converged(A, count, M=M, Minv=Minv, which="LA", v0=start)
 
     operators = {"A": against((1.0, stiff), (-1.0, loaded)), "M": against((1.0, stiff)), "Minv": inverse}
     values, vectors = _led(problem, operators, free, solve)
     found = []
     for value, y in zip(values, vectors, strict=True):
-        if value > 0.0:
+        if value > EXACT:
             shape = supports.completed(unpacked(y[free]))[:n]
             size = largest(problem.body.cloud.comm, float(np.abs(shape).max(initial=0.0)))
             found.append((1.0 / float(value), shape / size))
@@ -185,7 +198,16 @@ def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -
     return [factor for factor, _ in found], [shape for _, shape in found]
 
 
-def _flexibility(solver: Solver, u: Float, t: float) -> Callable[[Float], Float]:
+def _converged(A: Any, count: int, **given: Any) -> tuple[Float, Float]:
+    """Return the eigenvalues and eigenvectors that converge, at most ``count``; the others have no meaning here."""
+    try:
+        values, vectors = scipy.sparse.linalg.eigsh(A, count, tol=EXACT, maxiter=ITERATIONS, **given)
+    except scipy.sparse.linalg.ArpackNoConvergence as error:
+        values, vectors = error.eigenvalues, error.eigenvectors
+    return np.asarray(values), np.asarray(vectors)
+
+
+def _flexibility(solver: Solver, u: Float, t: float) -> Flexibility:
     found = solver.flexibility(u, t, EXACT)
     assert found is not None
     return found

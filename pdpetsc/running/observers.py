@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pdpetsc.case import Case
+from pdpetsc.errors import CaseError
 from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.checkpoint import Checkpoints
 from pdpetsc.output.crack import CrackLines
@@ -25,7 +26,11 @@ from pdpetsc.running.unbalanced_surface import UnbalancedForces
 def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> tuple[History, list[Observer]]:
     """Return the history, and all observers of a run in recording order."""
     damage, fields = problem.bond_damage, [*case.recorded, *fields_of_terms(problem)]
-    history = History({**numbers_of_terms(problem), **case.quantities})
+    of_terms = numbers_of_terms(problem)
+    twice = set(of_terms) & set(case.quantities)
+    if twice:
+        raise CaseError(f"Two columns of the history are named {sorted(twice)[0]!r}. Rename the quantity of the case.")
+    history = History({**of_terms, **case.quantities})
     # The energy of failing points includes their control.
     stabilises = case.control is not None and (problem.damage is None or not problem.damage.forces_have_energy)
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]

@@ -302,6 +302,9 @@ class _Run:
         with agreed(record.comm):
             results = named_numbers(case.results(history.columns)) if case.results is not None else {}
         for observer in record.observers:
+            twice = set(results) & set(observer.results())
+            if twice:
+                raise CaseError(f"Two results are named {sorted(twice)[0]!r}. Rename that of the case.")
             results |= observer.results()
         if self.expect is not None:
             # An error on one rank applies to all.

@@ -344,7 +344,9 @@ class Equilibrium:
         """
         iterations = max(len(self.norms) - 1, 0)
         words = self.reason or _words(reason, linear_reason)
-        if reason > 0 and not converged and self.reason not in (HELD_BY_NOTHING, UNSETTLED):
+        # Reasons of the checks that follow a converged solve.
+        rejected = bool(self.reason) and not self.reason.startswith("residual ")
+        if reason > 0 and not converged and not rejected:
             words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
         first, most = self._moved
         if not (converged or self.reason):

@@ -17,6 +17,7 @@ from pdpetsc.petsc.library import (
     full_steps,
     line_search,
     linear_solver,
+    negative_pivots,
     start_anew,
 )
 from pdpetsc.problem.assembly import Filler
@@ -24,7 +25,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
-from pdpetsc.solvers.protocol import Setting, StepResult
+from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
 from pdpetsc.solvers.snes import SnesSolver
 
 # Line search for a zero of the residual along the step. If a loose piece rotates, its steps become tiny; full steps do
@@ -136,23 +137,14 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         sought.forget()
         return found
 
-    def flexibility(self, u: Float, t: float, rtol: float) -> Callable[[Float], Float]:
+    def flexibility(self, u: Float, t: float, rtol: float) -> Flexibility:
         """Return the inverse of the tangent at an equilibrium."""
-        sought, ksp, supports = self._equilibrium, self.snes.getKSP(), self.problem.supports
+        sought = self._equilibrium
         sought.impose(t)
-        ksp.setTolerances(rtol=rtol)
+        self.snes.getKSP().setTolerances(rtol=rtol)
         state = self.problem.state(u, t)
         sought.update(state)
-
-        def solve(force: Float) -> Float:
-            if self._all_prescribed:
-                return np.zeros_like(u)
-            found, _ = self._linear_step(u, state, supports.reduced(force))
-            if ksp.getConvergedReason() < 0:
-                raise SolveError("The tangent of the last equilibrium cannot be solved: the linear solver failed.")
-            return supports.completed(found)
-
-        return solve
+        return _Inverse(self, u, state)
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
@@ -252,3 +244,22 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         values = self._displacement(x)
         self._filled_at = self._equilibrium.at_prescribed(values)
         self._equilibrium.assemble(values, effort(snes.getKSP()))
+
+
+class _Inverse(Flexibility):
+    """The inverse of the tangent that a solver holds."""
+
+    def __init__(self, solver: StaticSolver, u: Float, state: State) -> None:
+        self._solver, self._u, self._state = solver, u, state
+
+    def __call__(self, force: Float) -> Float:
+        solver, supports = self._solver, self._solver.problem.supports
+        if solver._all_prescribed:
+            return np.zeros_like(self._u)
+        found, _ = solver._linear_step(self._u, self._state, supports.reduced(force))
+        if solver.snes.getKSP().getConvergedReason() < 0:
+            raise SolveError("The tangent of the last equilibrium cannot be solved: the linear solver failed.")
+        return supports.completed(found)
+
+    def negative_pivots(self) -> int | None:
+        return negative_pivots(self._solver.snes.getKSP(), self._solver._equilibrium.tangent.mat)

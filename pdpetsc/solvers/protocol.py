@@ -149,6 +149,18 @@ class Setting:
         return self.filled
 
 
+class Flexibility(ABC):
+    """The inverse of a tangent; every method is collective."""
+
+    @abstractmethod
+    def __call__(self, force: Float) -> Float:
+        """Return the displacements (n_rows, dim) [length] of forces (n_rows, dim); raise SolveError if that fails."""
+
+    @abstractmethod
+    def negative_pivots(self) -> int | None:
+        """Return the number of unstable modes after a solve; None unless the tangent was factored."""
+
+
 class Solver(ABC):
     """March from one equilibrium to the next.
 
@@ -203,11 +215,10 @@ class Solver(ABC):
         """
         return None
 
-    def flexibility(self, u: Float, t: float, rtol: float) -> Callable[[Float], Float] | None:
-        """Return the inverse of the tangent at an equilibrium: displacements (n_rows, dim) from forces (collective).
+    def flexibility(self, u: Float, t: float, rtol: float) -> Flexibility | None:
+        """Return the inverse of the tangent at an equilibrium, to a relative tolerance; no load step may follow.
 
-        None if this solver has no tangent. The function is collective, solves to the relative tolerance ``rtol`` and
-        raises SolveError if that fails. No load step may follow.
+        None if this solver has no tangent (collective).
         """
         return None
 

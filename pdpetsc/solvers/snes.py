@@ -146,7 +146,8 @@ class SnesSolver(StepSolver):
     def _rested(self) -> tuple[bool, int]:
         """Solve again with moved springs of loose particles and with new multipliers, until neither moves the body.
 
-        Return True if forces balance without the springs and the multipliers have settled, and the linear iterations.
+        Return True if forces balance without the springs, the multipliers have settled and no term objects to the step,
+        and the linear iterations.
         """
         sought, linear = self._equilibrium, 0
         resting = sought.resting
@@ -163,10 +164,13 @@ class SnesSolver(StepSolver):
             found = sought.at_prescribed(self._read(self._x))
             if not resting or self.snes.getConvergedReason() <= 0:
                 return resting, linear
-            if not self.problem.settle(self.problem.state(found, sought.t)):
-                return True, linear
+            state = self.problem.state(found, sought.t)
+            if not self.problem.update_multipliers(state):
+                sought.reason = self.problem.objection(state) or sought.reason
+                return not self.problem.objection(state), linear
             sought.reason = ""
             linear += self._iterate(found)
+            resting = sought.at_rest(self._read(self._x), self._rtol)
         sought.reason = UNSETTLED
         return False, linear
 

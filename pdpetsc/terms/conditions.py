@@ -32,6 +32,7 @@ from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
+from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
@@ -76,6 +77,7 @@ class Applied:
         # Forces that depend on the displacement.
         self.following: list[Term] = []
         self._density = density
+        self._contacts: list[Contact] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -165,9 +167,11 @@ class Applied:
             condition.tool.check(cloud.dim)
         assert self.body.surface is not None
         mask = self.body.surface.select(cloud, condition.region, name)
-        depth = self.particles.thickness if cloud.dim < 3 else 1.0
-        volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
-        spacing = (volume / cloud.n_global / depth) ** (1.0 / cloud.dim)
+        apart = nearest_distances(self.body)[self.body.surface.owner[mask]]
+        spacing = float(total(cloud.comm, apart.sum()) / total(cloud.comm, len(apart)))
+        if any(one.name == condition.name for one in self._contacts):
+            raise CaseError(f"Two contacts are named {condition.name!r}; give each a name.")
+        self._contacts.append(condition)
         stiffness = condition.stiffness
         if stiffness is None:
             stiffness = STIFFNESS * largest(cloud.comm, self._material_term.kappa) / spacing

@@ -22,6 +22,8 @@ from pdpetsc.problem.term import KeptArray, Term
 STIFFNESS = 10.0
 # Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
 STICKING = 0.1
+# Largest turn of a tool with friction in a step [rad]: friction sees the chord of the path.
+TURN = 0.5
 # Tolerance of a penetration that is computed again.
 SLACK = 1.0 + 1e-6
 # Penetration over the spacing from which a tool overlaps the body at the start [-].
@@ -131,7 +133,8 @@ class ContactForces(Term):
         self._p0 = np.zeros(len(self._x))
         # Multipliers of the current solve.
         self._p = self._p0.copy()
-        deepest = self._deepest(State(body, np.zeros((body.cloud.n_rows, body.dim))))
+        rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
+        deepest = self._deepest(rest)
         if deepest > OVERLAP * spacing:
             raise CaseError(
                 f"The tool of {name} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch."
@@ -226,21 +229,35 @@ class ContactForces(Term):
         stored = self._area[touching.rows] @ (p**2 + tau / STICKING) - self._area @ self._p**2
         return float(stored / (2.0 * self._c))
 
-    def settle(self, state: State) -> bool:
-        """Make the pressures the multipliers; return False if no facet penetrates or is pressed from afar.
+    def _off(self, state: State) -> float:
+        """Compute the violation ``|min(g, p / c)|`` of ``g >= 0, p >= 0, g p = 0`` [length] (collective)."""
+        g = self._gap(state)[0]
+        p = np.maximum(self._p - self._c * g, 0.0)
+        off = np.where(g < 0.0, -g, np.minimum(g, p / self._c))
+        return largest(self.body.cloud.comm, float(off.max(initial=0.0)))
 
-        The change of ``p0`` is the pressure of the penetration, or of the distance of a facet that is still pressed.
-        """
-        g, touching = self._gap(state)[0], self._touching(state)
-        off = np.maximum(-g, 0.0)
-        off[touching.rows] = np.abs(g[touching.rows])
-        if largest(self.body.cloud.comm, float(off.max(initial=0.0))) <= self._allowed:
+    def update_multipliers(self, state: State) -> bool:
+        """Make the pressures the multipliers; return False if no facet penetrates or is pressed from afar."""
+        if self._off(state) <= self._allowed:
             return False
-        self._p = np.maximum(self._p - self._c * g, 0.0)
+        self._p = np.maximum(self._p - self._c * self._gap(state)[0], 0.0)
         self.version += 1
         return True
 
-    def revert_settled(self) -> None:
+    def objection(self, state: State) -> str:
+        """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
+        g0, n0, _ = self._tool.gap(self._x, self._slid)
+        g, n, _ = self._gap(state)
+        moved = self._moved(state)
+        ahead = g0 + (n0 * (moved - self._slid)).sum(axis=1)
+        through = (ahead < -self._allowed) & ((g > 0.0) | ((n * n0).sum(axis=1) < 0.0))
+        if largest(self.body.cloud.comm, float(np.count_nonzero(through))) > 0.0:
+            return f"the tool of {self._name} passed through the surface in one step"
+        if self._mu > 0.0 and self._tool.angle(state.clock.before, state.t) > TURN:
+            return f"the tool of {self._name} turned by more than {TURN:g} rad in one step, too far for friction"
+        return ""
+
+    def revert_multipliers(self) -> None:
         """Restore the multipliers of the last converged step."""
         self._p = self._p0.copy()
         self.version += 1
@@ -255,12 +272,12 @@ class ContactForces(Term):
             )
         touching, n = self._touching(state), self._gap(state)[1]
         self._p0[:] = self._p
+        self._slid[:] = self._moved(state)
         if self._mu > 0.0:
             self._tau[:] = 0.0
             normal = n[touching.rows]
             along = (touching.traction * normal).sum(axis=1)[:, None] * normal
             self._tau[touching.rows] = touching.traction - along
-            self._slid[:] = self._moved(state)
             self.version += 1
 
     @property
@@ -270,15 +287,15 @@ class ContactForces(Term):
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""
-        found = {"p": self._p0} | ({"tau": self._tau, "slid": self._slid} if self._mu > 0.0 else {})
+        found = {"p": self._p0, "slid": self._slid} | ({"tau": self._tau} if self._mu > 0.0 else {})
         return {f"{self._declared.name}_{of}": KeptArray(self._facets.owner, values) for of, values in found.items()}
 
     def restored(self) -> None:
         """Continue with the multipliers of a checkpoint."""
-        self.revert_settled()
+        self.revert_multipliers()
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
-        """Return the components of the force of the tool on the body, the area in contact and the penetration."""
+        """Return the force of the tool on the body by component, the area in contact, and the violation of the gap."""
         prefix, comm = self._declared.name, self.body.cloud.comm
 
         def component(axis: int) -> Callable[[State], float]:
@@ -290,7 +307,8 @@ class ContactForces(Term):
 
         def depth(state: State) -> float:
             # The history sums over the ranks.
-            return self._deepest(state) / self._spacing if comm.rank == 0 else 0.0 * self._deepest(state)
+            off = self._off(state) / self._spacing
+            return off if comm.rank == 0 else 0.0
 
         found = {f"{prefix}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
         found[f"{prefix}_area"] = lambda state: float(self._area[self._touching(state).rows].sum())

@@ -327,3 +327,91 @@ def test_a_cylinder_presses_as_hertz_says(tmp_path):
     assert found["half_width_over_hertz"] == pytest.approx(1.0, abs=0.03)
     assert found["peak_over_hertz"] == pytest.approx(1.0, abs=0.02)
     assert found["pressure_error"] < 0.03
+
+
+def test_a_tool_does_not_pass_through_in_one_step(tmp_path):
+    """A thin jaw that would lie below the surface at the end of a step, which is halved until it meets the surface."""
+    jaw = pd.RigidBox((0.5, 1.0), (1.5, 1.05), move=(0.0, -0.3))
+    history = pd.run(block(jaw, material=pd.NeoHookean(E=E, nu=NU), steps=pd.Steps(1)), tmp_path).history
+    assert len(history["t"]) > 3
+    assert history["tool_y"][-1] < -50.0
+    assert history["tool_area"][-1] > 0.5
+
+
+def test_a_tool_that_turns_too_far_for_friction_takes_smaller_steps(tmp_path):
+    """Friction sees the chord of the path of a step: a whole turn in one step would have none."""
+    roller = pd.RigidSphere((1.0, 3.0), 2.0, move=(0.0, -0.01), turn=2.0 * np.pi, about=(1.0, 3.0))
+    fixed = [pd.Clamp("-y"), pd.Contact("+y", roller, 0.2, name="tool")]
+    history = pd.run(block(roller, 0.2, conditions=fixed, steps=pd.Steps(1)), tmp_path).history
+    assert len(history["t"]) > 10
+    assert history["tool_x"][-1] == pytest.approx(-0.2 * history["tool_y"][-1], rel=0.02)
+
+
+def test_multipliers_end_with_the_contact(tmp_path):
+    """A sphere pressed and withdrawn to its place at the start presses no more."""
+    sphere = pd.RigidSphere((1.0, 3.0), 2.0, move=(0.0, -0.04), schedule=pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0]))
+    case = block(sphere, penetration=1e-3, material=pd.NeoHookean(E=E, nu=NU), steps=pd.Steps(8))
+    history = pd.run(case, tmp_path).history
+    assert min(history["tool_y"]) < -10.0
+    assert abs(history["tool_y"][-1]) < 1e-2 * abs(min(history["tool_y"]))
+    assert max(history["tool_depth"]) <= 1e-3
+
+
+def test_several_shells_are_turned_by_how_they_lie(rng):
+    """Two cubes apart, and one within another as a cavity, whatever the sense of their triangles."""
+    (one, triangles), (other, _) = cube(2.0, 0.0, 0.0, 0.0), cube(1.0, 4.0, 0.0, 0.0)
+    inner, _ = cube(1.0, 0.0, 0.0, 0.0)
+    back = [part[::-1] for part in triangles]
+    points = rng.uniform(-1.5, 5.0, (2000, 3)) * (1.0, 0.3, 0.3)
+
+    def inside(x, middle, half):
+        return (np.abs(x - (middle, 0.0, 0.0)) < half).all(axis=1)
+
+    for turned in (triangles, back):
+        apart = pd.RigidSurface(np.concatenate([one, other]), [*triangles, *(np.array(turned) + 8).tolist()])
+        g = apart.gap(points, 0.0 * points)[0]
+        np.testing.assert_array_equal(g < 0.0, inside(points, 0.0, 1.0) | inside(points, 4.0, 0.5))
+        hollow = pd.RigidSurface(np.concatenate([one, inner]), [*triangles, *(np.array(turned) + 8).tolist()])
+        g = hollow.gap(points, 0.0 * points)[0]
+        np.testing.assert_array_equal(g < 0.0, inside(points, 0.0, 1.0) & ~inside(points, 0.0, 0.5))
+    crossing, _ = cube(2.0, 1.0, 0.5, 0.5)
+    with pytest.raises(pd.CaseError, match="intersect"):
+        pd.RigidSurface(np.concatenate([one, crossing]), [*triangles, *(np.array(triangles) + 8).tolist()])
+
+
+def test_triangles_without_area_change_no_sign(rng):
+    """A sliver along the diagonal of a side, as STL files have it."""
+    points, triangles = cube(2.0, 0.0, 0.0, 0.0)
+    a, b, c = triangles[0]
+    (diagonal,) = (e for e in ((a, b), (b, c), (a, c)) if np.linalg.norm(points[e[0]] - points[e[1]]) > 2.5)
+    middle = len(points)
+    points = np.concatenate([points, [points[list(diagonal)].mean(axis=0)]])
+    found = []
+    for part in triangles:
+        ends = [n for n in part if n in diagonal]
+        if len(ends) == 2 and part == triangles[0]:
+            k = part.index(next(n for n in part if n not in diagonal))
+            p, q, r = part[k], part[(k + 1) % 3], part[(k + 2) % 3]
+            found += [(p, q, r), (r, q, middle), ()]
+        else:
+            found.append(part)
+    sliver = [part for part in found if len(part) == 3]
+    # The other triangle at the diagonal is split at the middle, so that the surface stays closed.
+    for number, part in enumerate(sliver):
+        if number > 1 and set(diagonal) <= set(part):
+            k = part.index(next(n for n in part if n not in diagonal))
+            p, q, r = part[k], part[(k + 1) % 3], part[(k + 2) % 3]
+            sliver[number : number + 1] = [(p, q, middle), (p, middle, r)]
+            break
+    surface = pd.RigidSurface(points, sliver)
+    x = rng.uniform(-0.99, 0.99, (500, 3))
+    assert (surface.gap(x, 0.0 * x)[0] < 0.0).all()
+    assert np.isfinite(surface.gap(x, 0.0 * x)[1]).all()
+
+
+def test_names_are_not_used_twice(tmp_path):
+    twice = [pd.Roller("-x"), pd.Roller("-y"), pd.Contact("+y", PRESS), pd.Contact("+x", cylinder(move=()))]
+    with pytest.raises(pd.CaseError, match="Two contacts are named 'contact'"):
+        pd.prepare(block(conditions=twice))
+    with pytest.raises(pd.CaseError, match="Two columns of the history are named 'tool_y'"):
+        pd.run(block(history={"tool_y": pd.Mean(pd.displacement, "y")}), tmp_path)

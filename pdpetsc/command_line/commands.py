@@ -17,7 +17,10 @@ OF_RUNS = ("-o", "--ranks", "--jobs", "--launcher", "--solver")
 STUDY = Syntax("case file", (*OF_RUNS, "--sets", "--order", "--exact"), ("--retry", "--expected", "--picture"), None)
 
 COMMANDS: Mapping[str, tuple[str, Syntax]] = {
-    "plot": ("plot", Syntax("folder", (), ("--animate",), ("field", "component", "scale", "step", "x", "y", "format"))),
+    "plot": (
+        "plot",
+        Syntax("folder", ("--cut",), ("--animate",), ("field", "component", "scale", "step", "x", "y", "format")),
+    ),
     "report": ("report", Syntax("folder", parameters=("field", "component", "scale"))),
     "compare": ("compare", STUDY),
     "study": ("study", STUDY),

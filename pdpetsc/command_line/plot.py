@@ -1,10 +1,12 @@
 """Draw pictures of a finished or stopped run.
 
-usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME] [--animate]
+usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME] [--cut x=5] [--animate]
 
   field, component, scale, step   the field that colours the deformed body, and the factor on its displacements; by
                                   default those of the case's picture=
   x, y                            columns of history.csv against each other; by default all of them against t
+  --cut x=5                       draw only x < 5 of a solid body, with the inside on the cut face; x=5,z=2 for several
+                                  planes, none for none; by default those of the case's picture=
   --animate                       also a film of all steps: deformed.mp4 if ffmpeg is installed, else deformed.gif;
                                   format=gif or format=mp4 chooses
 Writes deformed.png, history.png and newton.png into DIR, and curve.png if the history has a force and a length.
@@ -29,7 +31,7 @@ from pdpetsc.output.reading import StoredFields, read_history, read_summary
 COMPONENTS = {"displacement": "x", "stress": "xx", "first_piola_stress": "xx", "deformation_gradient": "xx"}
 
 
-def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[Path]:
+def plot(folder: Path, given: Mapping[str, str], animate: bool = False, cut: str | None = None) -> list[Path]:
     """Draw a run and return the pictures.
 
     Parameters
@@ -40,6 +42,8 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
         Words ``name=value`` of the command line.
     animate : bool
         If True, also draw a film of all steps.
+    cut : str, optional
+        Planes that cut a solid body: ``"x=5,z=2"``, or ``"none"``; by default those of the picture of the case.
 
     Raises
     ------
@@ -47,7 +51,7 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
         The folder holds no run, or a word is wrong.
     """
     try:
-        return _drawn(folder, given, animate)
+        return _drawn(folder, given, animate, cut)
     except PdpetscError:
         raise
     except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
@@ -57,7 +61,7 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
         ) from error
 
 
-def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
+def _drawn(folder: Path, given: Mapping[str, str], animate: bool, cut: str | None) -> list[Path]:
     summary = read_summary(folder)
     drawn = []
     kind = given.get("format") or film_format()
@@ -73,17 +77,25 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
         scale, step = _number(given, "scale", own.get("scale", 1.0)), _number(given, "step", -1.0)
         if "step" in given and (step < 0.0 or step != int(step)):
             raise CaseError(f"step takes the number of a step, not {given['step']}.")
+        cuts = own.get("cut", ()) if cut is None else _cuts(cut)
         path = folder / "deformed.png"
-        draw_field(folder, path, field, component, scale, _title(folder), int(step) if "step" in given else None)
+        draw_field(folder, path, field, component, scale, _title(folder), int(step) if "step" in given else None, cuts)
         drawn.append(path)
         if animate:
             drawn.append(folder / f"deformed.{kind}")
-            draw_film(folder, drawn[-1], field, component, scale, _title(folder))
+            draw_film(folder, drawn[-1], field, component, scale, _title(folder), cuts)
     elif animate:
         raise CaseError(f"{folder} has no fields.h5 for a film. Add fields to the case and repeat the run.")
     drawn += _history(folder, summary, given.get("x", "t"), given.get("y"))
     drawn.append(save(newton_figure(summary), folder / "newton.png"))
     return drawn
+
+
+def _cuts(text: str) -> list[Any]:
+    """Return the planes of ``--cut``: axes with positions."""
+    planes = {} if text == "none" else dict(word.partition("=")[::2] for word in text.split(","))
+    refuse_unknown(planes, ("x", "y", "z"), "--cut has no axis")
+    return [(axis, _number(planes, axis, 0.0)) for axis in planes]
 
 
 def _title(folder: Path) -> str:
@@ -118,6 +130,6 @@ def _history(folder: Path, summary: Mapping[str, Any], x: str, y: str | None) ->
 
 def run(path: Path, arguments: Arguments) -> int:
     """Carry out the command."""
-    for picture in plot(path, arguments.parameters, "--animate" in arguments.flags):
+    for picture in plot(path, arguments.parameters, "--animate" in arguments.flags, arguments.value("--cut")):
         print(picture)
     return 0

@@ -19,6 +19,8 @@ POLYHEDRA = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron"}
 # A Delaunay simplex with a larger circumradius is outside of the body; a Voronoi cell with a corner farther away is
 # replaced by a square; a mirror image nearer to a particle does not bound the body [spacings].
 OUTSIDE, FARTHEST, NEAREST = 1.5, 2.5, 0.75
+# Points nearer to a plane are on it, relative to the size of the body.
+ON_PLANE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -176,6 +178,22 @@ class Cells:
         here = turn >= 0
         offsets = np.concatenate([[0], np.cumsum(here.sum(axis=1))])
         return Cells(self.points, self.corners[turn[here]], offsets, self.owner[faces.cell[~inside]])
+
+    def below(self, axis: int, at: float) -> Cells:
+        """Return the cells with a corner below a plane across an axis; corners beyond the plane are moved onto it.
+
+        The faces toward other cells have all corners beyond the plane, and are then on it: the cut face is plane.
+        """
+        along = self.points[:, axis]
+        low = np.minimum.reduceat(along[self.corners], self.offsets[:-1])
+        chosen = low < at - ON_PLANE * np.ptp(along)
+        points = self.points.copy()
+        points[:, axis] = np.minimum(along, at)
+        return Cells(
+            points, self.corners[np.repeat(chosen, self.count)],
+            np.concatenate([[0], np.cumsum(self.count[chosen])]),
+            None if self.particle is None else self.particle[chosen],
+        )  # fmt: skip
 
     @property
     def owner(self) -> GlobalIndex:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.discrete.communicator import agreed, is_root
+from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import described
 from pdpetsc.output.folder import set_pictures_aside
 from pdpetsc.output.observer import Observed, Observer, StepRecords
@@ -15,7 +15,7 @@ from pdpetsc.output.picture import draw_field
 from pdpetsc.output.progress import Report
 from pdpetsc.output.scene import component_of
 from pdpetsc.petsc.stages import OUTPUT, stage
-from pdpetsc.post.picture import Picture
+from pdpetsc.post.picture import Picture, refuse_empty, uncut
 from pdpetsc.post.solution import Solution
 
 
@@ -26,12 +26,14 @@ class FinalPicture(Observer):
         self._picture = picture
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Refuse a component that the field does not have."""
+        """Refuse a component that the field does not have, and cuts that are not possible."""
         if self._picture is None:
             return
         axes = np.ndim(self._picture.field(start)) - 1
         with agreed(start.cloud.comm):
             component_of(np.empty((0, *axes * [3])), self._picture.component)
+        left = uncut(start.x, self._picture.cuts)
+        refuse_empty(self._picture.cuts, int(total(start.cloud.comm, left.sum())))
 
     def begin(self, observed: Observed) -> None:
         """Move pictures of the run before a restart in the same folder away."""
@@ -44,7 +46,8 @@ class FinalPicture(Observer):
         shown = self._picture
         if shown is None:
             return {}
-        return {"picture": {"field": shown.field.__name__, "component": shown.component, "scale": shown.scale}}
+        what = {"field": shown.field.__name__, "component": shown.component, "scale": shown.scale}
+        return {"picture": {**what, "cut": [list(cut) for cut in shown.cuts]}}
 
     def finish(self) -> None:
         """Draw the picture; the results stand if that fails."""
@@ -53,7 +56,10 @@ class FinalPicture(Observer):
             path = folder / "picture.png"
             with stage(OUTPUT):
                 try:
-                    draw_field(folder, path, picture.field.__name__, picture.component, picture.scale, folder.name)
+                    draw_field(
+                        folder, path, picture.field.__name__, picture.component, picture.scale, folder.name,
+                        cuts=picture.cuts,
+                    )  # fmt: skip
                     report.say(f"picture in {path}")
                 except Exception as error:
                     report.warn(f"The run is finished, but its picture could not be drawn: {described(error)}")

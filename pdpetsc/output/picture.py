@@ -20,6 +20,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import Scene, frame_of, scene_of
+from pdpetsc.post.picture import Cut
 
 LOG = logging.getLogger("pdpetsc")
 # Dots per inch of pictures that are kept, and of the frames of a film.
@@ -36,18 +37,19 @@ _SOLID = Path(__file__).with_name("solid.py")
 
 
 def draw_field(
-    folder: Path, path: Path, name: str, component: str, scale: float, title: str, step: int | None = None
-) -> None:
+    folder: Path, path: Path, name: str, component: str, scale: float, title: str, step: int | None = None,
+    cuts: Sequence[Cut] = (),
+) -> None:  # fmt: skip
     """Draw a field of a step of ``fields.h5``, the last one by default, into ``path`` (one rank only).
 
     Raises
     ------
     CaseError
-        There is no such file, step, field or component.
+        There is no such file, step, field or component, or the cuts are not possible.
     OutputError
         The picture cannot be written.
     """
-    scene = scene_of(folder, name, component, scale, title, step)
+    scene = scene_of(folder, name, component, scale, title, step, cuts=cuts)
     with replacing(path) as aside:
         _draw_scenes([scene], [aside], path.suffix.removeprefix(".") or "png")
 
@@ -84,8 +86,8 @@ def _kept_picture(folder: Path) -> bytes | None:
 
 
 def draw_film(
-    folder: Path, path: Path, name: str, component: str, scale: float, title: str
-) -> int:  # fmt: skip
+    folder: Path, path: Path, name: str, component: str, scale: float, title: str, cuts: Sequence[Cut] = ()
+) -> int:
     """Draw a field of all steps into a ``.gif`` or ``.mp4`` and return the number of frames (one rank only).
 
     Colours and axes are the same in all frames. Of more than 120 steps every n-th is drawn.
@@ -93,7 +95,8 @@ def draw_film(
     Raises
     ------
     CaseError
-        There is no such field or component, the name ends otherwise, or nothing here writes films of this kind.
+        There is no such field or component, the cuts are not possible, the name ends otherwise, or nothing here writes
+        films of this kind.
     OutputError
         The film cannot be written.
     """
@@ -106,12 +109,12 @@ def draw_film(
     chosen = steps[:: max(1, -(-len(steps) // FRAMES))]
     if chosen[-1] != steps[-1]:
         chosen.append(steps[-1])
-    limits, box = frame_of(folder, name, component, scale, chosen)
+    limits, box = frame_of(folder, name, component, scale, chosen, cuts)
     with tempfile.TemporaryDirectory() as place, replacing(path) as aside:
         frames = [Path(place) / f"{number:05d}.png" for number in range(len(chosen))]
         for first in range(0, len(chosen), TOGETHER):
             some = slice(first, first + TOGETHER)
-            scenes = [scene_of(folder, name, component, scale, title, step, limits) for step in chosen[some]]
+            scenes = [scene_of(folder, name, component, scale, title, step, limits, cuts) for step in chosen[some]]
             _draw_scenes(scenes, frames[some], "png", box, DPI_OF_FRAMES)
         (_gif if kind == ".gif" else _mp4)(frames, aside)
     return len(frames)
@@ -279,10 +282,16 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     axes.set(**{f"{letter}lim": ends for letter, *ends in zip("xyz", low, high, strict=True)})
     drawn.set_clim(*scene.limits)
     axes.set_box_aspect(extent, zoom=0.9)
+    axes.view_init(azim=60.0 if _from_behind(scene) else -60.0)
     axes.set(**{f"{letter}label": scene.labels.axis(letter) for letter in "xyz"})
     for axis, share in zip("xyz", extent / extent.max(), strict=True):
         axes.locator_params(axis=axis, nbins=max(1, round(6 * share)))
     _scale_of_colours(figure, axes, drawn, scene)
+
+
+def _from_behind(scene: Scene) -> bool:
+    """Return True if a cut face is seen from larger y only."""
+    return any(axis == "y" for axis, _ in scene.cuts)
 
 
 def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple[Float, Float] | None) -> bool:
@@ -327,6 +336,7 @@ def _hand_over(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> Non
         path, points=cells.points, polygons=polygons, values=scene.values[cells.owner], limits=np.array(scene.limits),
         label=scene.label, title=scene.title, box=np.array([low - scene.margin, high + scene.margin]),
         axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
+        viewed_from=np.array([0.9, 1.3 if _from_behind(scene) else -1.3, 0.75]),
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.reading import StoredFields, read_history, read_summary, read_table
 from pdpetsc.output.surface import read_cells
+from pdpetsc.post.picture import Cut, refuse_empty, uncut
 from pdpetsc.post.point_location import Held
 
 # Particles drawn at most; of a larger cloud every n-th.
@@ -40,8 +41,10 @@ class Scene:
 
     Attributes
     ----------
-    x, y : (n, 3) float64
-        Positions in the undeformed body, and the positions at which the particles are drawn [length].
+    x : (n, 3) float64
+        Positions in the undeformed body [length].
+    y : (m, 3) float64
+        Positions at which the particles are drawn, except those that are cut off [length].
     values : (n,) float64
         Values that the colours show.
     dim : int
@@ -60,6 +63,8 @@ class Scene:
         Labels of the run.
     limits : (float, float)
         Ends of the scale of colours.
+    cuts : sequence of (str, float)
+        Planes beyond which a solid body is not drawn.
     """
 
     x: Float
@@ -74,18 +79,19 @@ class Scene:
     title: str
     labels: Labels
     limits: tuple[float, float]
+    cuts: Sequence[Cut] = ()
 
 
 def scene_of(
     folder: Path, name: str, component: str, scale: float, title: str, step: int | None = None,
-    limits: tuple[float, float] | None = None,
+    limits: tuple[float, float] | None = None, cuts: Sequence[Cut] = (),
 ) -> Scene:  # fmt: skip
     """Return what a picture of a step shows, the last one by default (one rank only).
 
     Raises
     ------
     CaseError
-        There is no such run, step, field or component.
+        There is no such run, step, field or component, or the cuts are not possible.
     """
     stored = StoredFields(folder)
     if "displacement" not in stored.names(step):
@@ -98,7 +104,7 @@ def scene_of(
     x = stored.of_particles("position", stride)
     u = scale * stored.field("displacement", step, stride)
     values = component_of(stored.field(name, step, stride), component)
-    body = _body_of(folder, stored, summary, step, scale, stride)
+    body = _body_of(folder, stored, summary, step, scale, stride, cuts)
     dim = body.moved.points.shape[1]
     shown = stored.steps[-1] if step is None else step
     label = labels.field(name, component)
@@ -111,10 +117,12 @@ def scene_of(
         words += f", 1 particle in {stride} shown"
         if summary.get("cuts") or summary.get("cracks") or (folder / "broken_bonds.csv").exists():
             words += ", cracks not drawn"
+    if cuts:
+        words += "\n" + ", ".join(f"{axis} > {labels.length(at)}" for axis, at in cuts) + " cut off"
     return Scene(
-        x, x + u, values, 1 if (np.ptp(x, axis=0) > 0.0).sum() < 2 else dim,
+        x, (x + u)[uncut(x, cuts)], values, 1 if (np.ptp(x, axis=0) > 0.0).sum() < 2 else dim,
         body.moved.surface if dim == 3 else body.moved, body.margin, horizon, body.cracks, label, words, labels,
-        limits or limits_of(values),
+        limits or limits_of(values), cuts,
     )  # fmt: skip
 
 
@@ -171,8 +179,9 @@ class _Body:
 
 
 def _body_of(
-    folder: Path, stored: StoredFields, summary: Mapping[str, Any], step: int | None, scale: float, stride: int
-) -> _Body:
+    folder: Path, stored: StoredFields, summary: Mapping[str, Any], step: int | None, scale: float, stride: int,
+    cuts: Sequence[Cut] = (),
+) -> _Body:  # fmt: skip
     """Return the cells of the particles of a run at a step; boxes of volumes if only every n-th particle is drawn.
 
     Runs of earlier versions have no file of cells: cells follow from positions and volumes.
@@ -187,8 +196,12 @@ def _body_of(
     if stride > 1:
         cells, held = boxes(x, (stride * volume / depth) ** (1.0 / dim)), Held(x)
     else:
-        cells = (cells or cells_of(x, volume, depth)).own
+        cells = cells or cells_of(x, volume, depth)
         held = Held(x, _cracks(summary), broken_pairs(folder, stored.steps[-1] if step is None else step, position))
+    refuse_empty(cuts, int(uncut(x if extent > 1 else position[:, :1], cuts).sum()))
+    for axis, at in cuts:
+        cells = cells.below("xyz".index(axis), at)
+    cells = cells.own
     damage = stored.field("local_damage", step, stride) if "local_damage" in names else np.zeros(len(x))
     reach = cells.points[cells.corners] - x[np.repeat(cells.owner, cells.count)]
     return _Body(cells, *deformed(cells, x, u, held, damage >= LOOSE), float(np.linalg.norm(reach, axis=1).max()))
@@ -243,25 +256,27 @@ def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple
 
 
 def frame_of(
-    folder: Path, name: str, component: str, scale: float, steps: Sequence[int]
+    folder: Path, name: str, component: str, scale: float, steps: Sequence[int], cuts: Sequence[Cut] = ()
 ) -> tuple[tuple[float, float], tuple[Float, Float]]:
     """Return the ends of the scale of colours and the corners of all that steps show, one step after another.
 
     Raises
     ------
     CaseError
-        There is no such step, field or component.
+        There is no such step, field or component, or the cuts are not possible.
     """
     stored = StoredFields(folder)
     stride = _stride(stored)
     x = stored.of_particles("position", stride)
     dim = int((np.ptp(x, axis=0) > 0.0).sum())
+    left = uncut(x, cuts)
+    refuse_empty(cuts, int(left.sum()))
     ends, lows, highs = [], [], []
     for step in steps:
         values = component_of(stored.field(name, step, stride), component)
         # A curve is shown with its peaks.
         ends.append(limits_of(values) if dim > 1 else (float(np.nanmin(values)), float(np.nanmax(values))))
-        y = x + scale * stored.field("displacement", step, stride)
+        y = (x + scale * stored.field("displacement", step, stride))[left]
         lows.append(y.min(axis=0))
         highs.append(y.max(axis=0))
     return _without_round_off(float(np.min(ends)), float(np.max(ends))), (np.min(lows, axis=0), np.max(highs, axis=0))

@@ -50,7 +50,7 @@ def main(source: str, target: str) -> None:
         n_zlabels=2, fmt="%.3g", bold=False, use_3d_text=False, **letters,
     )  # fmt: skip
     middle, reach = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
-    plotter.camera_position = [tuple(middle + reach * np.array([0.9, -1.3, 0.75])), tuple(middle), (0.0, 0.0, 1.0)]
+    plotter.camera_position = [tuple(middle + reach * scene["viewed_from"]), tuple(middle), (0.0, 0.0, 1.0)]
     plotter.camera.parallel_projection = True
     plotter.reset_camera()
     # The body left of the scale of colours.
@@ -58,7 +58,9 @@ def main(source: str, target: str) -> None:
     shift = 0.05 * reach * right / np.linalg.norm(right)
     plotter.camera.position = tuple(np.array(plotter.camera.position) + shift)
     plotter.camera.focal_point = tuple(np.array(plotter.camera.focal_point) + shift)
-    plotter.camera.zoom(1.02)
+    # The axes of a tall body need room above and below it.
+    size = box[1] - box[0]
+    plotter.camera.zoom(0.92 if size[2] >= 0.9 * size.max() else 1.02)
     plotter.screenshot(target)
     plotter.close()
 

@@ -11,6 +11,7 @@ from PIL import Image
 
 import pdpetsc as pd
 from pdpetsc.command_line import plot as plot_command
+from pdpetsc.command_line.commands import command
 from pdpetsc.command_line.plot import plot
 from pdpetsc.declare.cells import SIMPLICES
 from pdpetsc.output import picture, scene
@@ -217,15 +218,126 @@ def test_the_surface_of_a_solid_body_is_closed(kind, tmp_path):
         cells = (pd.LatticeNodes if nodes else pd.Lattice)((0.0,) * 3, (6.0, 3.0, 1.0), 0.5).cells().own
     else:
         cells = (pd.MeshNodes if nodes else pd.Mesh)(mesh_of(tmp_path, name)).cells().own
-    surface = cells.surface
-    x = [surface.points[part] for part in np.split(surface.corners, surface.offsets[1:-1])]
-    area = sum(np.linalg.norm(np.cross(y[2] - y[0], y[-1] - y[1] if len(y) == 4 else y[1] - y[0])) / 2 for y in x)
-    assert area == pytest.approx(2.0 * (18.0 + 6.0 + 3.0), rel=1e-9)
-    # Each edge belongs to two faces.
+    assert size_of_closed(cells.surface) == pytest.approx(2.0 * (18.0 + 6.0 + 3.0), rel=1e-9)
+
+
+def size_of_closed(surface):
+    """Return the area of the surface of a solid body, each edge of which belongs to two faces."""
     _, count = np.unique(
         dataclasses.replace(surface, points=surface.points[:, :2]).faces.key, axis=0, return_counts=True
     )
     assert (count == 2).all()
+    x = [surface.points[part] for part in np.split(surface.corners, surface.offsets[1:-1])]
+    return sum(np.linalg.norm(np.cross(y[2] - y[0], y[-1] - y[1] if len(y) == 4 else y[1] - y[0])) / 2 for y in x)
+
+
+@pytest.mark.parametrize("at", [2.0, 2.3])
+@pytest.mark.parametrize("kind", ["lattice", "lattice nodes", "tetra", "hexahedron", "tetra nodes", "hexahedron nodes"])
+def test_a_cut_body_is_closed_by_a_plane_face(kind, at, tmp_path):
+    name, _, nodes = kind.partition(" ")
+    if name == "lattice":
+        particles = (pd.LatticeNodes if nodes else pd.Lattice)((0.0,) * 3, (6.0, 3.0, 1.0), 0.5)
+    else:
+        particles = (pd.MeshNodes if nodes else pd.Mesh)(mesh_of(tmp_path, name))
+    surface = particles.cells().below(0, at).own.surface
+    assert size_of_closed(surface) == pytest.approx(2.0 * (3.0 * at + at + 3.0), rel=1e-6)
+    drawn = np.minimum.reduceat(surface.points[surface.corners, 0], surface.offsets[:-1]) > at - 1e-6
+    x = particles.chunk(0, 1).x[surface.owner[drawn], 0]
+    # Half an element of the mesh is 0.5 wide; nodes on the plane are those of the cut face.
+    assert np.abs(x - at).max() <= (0.0 if nodes and at == 2.0 else 0.75)
+
+
+def test_a_cut_shows_values_that_the_surface_does_not_have(tmp_path):
+    def bump(x, t):
+        return 0.01 * t * x[:, 0] * (6.0 - x[:, 0]) * (1.0 - (x[:, 1] - 1.0) ** 2) * (1.0 - (x[:, 2] - 1.0) ** 2)
+
+    case = dataclasses.replace(
+        moved(pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5), np.eye(3), units=pd.Units("mm", "N")),
+        conditions=[pd.Displacement(pd.region.All(), x=bump, y=0.0, z=0.0)],
+        fields=[pd.displacement], picture=pd.Picture(pd.displacement, "x", 0.0, cut=("x", 3.0)),
+    )  # fmt: skip
+    result = pd.run(case, tmp_path)
+    assert (tmp_path / "picture.png").exists() and result.summary["picture"]["cut"] == [["x", 3.0]]
+
+    def drawn(*cuts):
+        found = scene_of(tmp_path, "displacement", "x", 0.0, "block", cuts=cuts)
+        return found, found.values[found.cells.owner], len(found.cells.count)
+
+    whole, outside, faces = drawn()
+    assert faces == 2 * (12 * 4 + 12 * 4 + 4 * 4) and outside.max() < 0.5 * whole.values.max()
+    half, inside, faces = drawn(("x", 3.0))
+    assert faces == 2 * (6 * 4 + 6 * 4 + 4 * 4) and half.limits == whole.limits
+    # Of the 16 faces of the cut the four in the middle.
+    assert inside.max() == pytest.approx(whole.values.max()) and (inside > outside.max()).sum() == 4
+    assert half.y[:, 0].max() == pytest.approx(2.75) and "x > 3 mm cut off" in half.title
+    assert drawn(("x", 3.0), ("z", 1.0))[2] == 2 * (6 * 4 + 6 * 2 + 4 * 2)
+    # A plane through cells cuts them.
+    through, _, faces = drawn(("x", 3.2))
+    assert faces == 2 * (7 * 4 + 7 * 4 + 4 * 4) and through.cells.points[:, 0].max() == pytest.approx(3.2)
+    limits, (low, high) = frame_of(tmp_path, "displacement", "x", 0.0, [1], [("y", 1.0)])
+    assert limits == whole.limits and np.allclose([low, high], [[0.25] * 3, [5.75, 0.75, 1.75]])
+
+
+def test_a_cut_face_along_y_is_seen(solid, tmp_path, monkeypatch):
+    monkeypatch.setattr(picture.importlib.util, "find_spec", lambda name: None)
+    for axis in "xyz":
+        draw_field(solid, tmp_path / f"{axis}.png", "displacement", "x", 1.0, "block", cuts=[(axis, 1.0)])
+        assert colours(tmp_path / f"{axis}.png") > 5_000
+    assert picture._from_behind(scene_of(solid, "displacement", "x", 1.0, "block", cuts=[("y", 1.0)]))
+
+
+@pytest.mark.parametrize("at", [-1.0, 0.25])
+def test_a_cut_that_leaves_nothing_is_refused(at, solid, tmp_path):
+    cuts = [("z", 5.0), ("x", at)]
+    message = f"The cut at z = 5, x = {at:g} leaves nothing of the body; move the plane into the body"
+    with pytest.raises(pd.CaseError, match=message):
+        draw_field(solid, tmp_path / "p.png", "stress", "xx", 1.0, "block", cuts=cuts)
+    with pytest.raises(pd.CaseError, match=message):
+        draw_film(solid, tmp_path / "p.gif", "stress", "xx", 1.0, "block", cuts)
+    block = pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5)
+    with pytest.raises(pd.CaseError, match=message):
+        pd.run(moved(block, 0.1 * np.eye(3), picture=pd.Picture(cut=cuts)), tmp_path)
+
+
+def test_a_cut_is_for_solid_bodies(plane, tmp_path):
+    message = "The cut of a picture requires a body in 3D; this body is in 2D. Omit the cut"
+    with pytest.raises(pd.CaseError, match=message):
+        draw_field(plane, tmp_path / "p.png", "stress", "xx", 1.0, "bar", cuts=[("x", 3.0)])
+    with pytest.raises(pd.CaseError, match=message):
+        pd.run(moved(pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, picture=pd.Picture(cut=("z", 3.0))), tmp_path)
+
+
+@pytest.mark.parametrize("cut", [("w", 1.0), ("x", np.nan), ("x",), "x=5", [("x", 1.0), ("r", 2.0)], {"x": 1.0}])
+def test_a_cut_is_an_axis_and_a_position(cut):
+    with pytest.raises(pd.CaseError, match=r"Picture takes a pair .'x' or 'y' or 'z', a finite number. or .* as cut"):
+        pd.Picture(cut=cut)
+
+
+def test_plot_cuts_the_body(solid, tmp_path, monkeypatch):
+    shutil.copytree(solid, tmp_path / "run")
+    asked = []
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words[-1]))
+    monkeypatch.setattr(plot_command, "draw_film", lambda folder, path, *words: asked.append(words[-1]))
+    for words in (["--cut", "x=3,z=-1.5", "--animate"], ["--cut", "none"], []):
+        assert command("plot", [str(tmp_path / "run"), *words]) == 0
+    planes = [("x", 3.0), ("z", -1.5)]
+    assert [list(cuts) for cuts in asked] == [planes, planes, [], []]
+    for words, message in (
+        ("w=3", "--cut has no axis 'w'; it has x, y, z"), ("5", "--cut has no axis '5'"), ("x", "x takes a number"),
+        ("x=far", "x takes a number, not 'far'"),
+    ):  # fmt: skip
+        with pytest.raises(pd.CaseError, match=message):
+            plot(tmp_path / "run", {}, cut=words)
+
+
+def test_plot_begins_with_the_cut_of_the_case(tmp_path, monkeypatch):
+    block = pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5)
+    pd.run(moved(block, 0.1 * np.eye(3), picture=pd.Picture(pd.displacement, "x", cut=[("y", 1.0)])), tmp_path)
+    asked = []
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words[-1]))
+    for cut in (None, "x=1", "none"):
+        plot(tmp_path, {}, cut=cut)
+    assert [list(map(tuple, cuts)) for cuts in asked] == [[("y", 1.0)], [("x", 1.0)], []]
 
 
 def test_a_picture_of_a_part_of_the_particles_says_so(plane, solid, monkeypatch):

@@ -62,6 +62,13 @@ class RigidTool(RigidMotion, ABC):
             return u - d, R
         return (u - d) @ R + (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1])), R
 
+    def absolute(self, x: Float, v: Float, t: float) -> Float:
+        """Compute the displacements (n, dim) [length] of points ``x`` from those as seen from the tool."""
+        R, d = self.motion(t, x.shape[1])
+        if not self.turns:
+            return v + d
+        return np.asarray((v - (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1]))) @ R.T + d)
+
 
 def _vector(tool: RigidTool, name: str, dim: int) -> Float:
     values = np.asarray(getattr(tool, name), dtype=float)

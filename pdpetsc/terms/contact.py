@@ -22,6 +22,8 @@ from pdpetsc.problem.term import KeptArray, Term
 STIFFNESS = 10.0
 # Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
 STICKING = 0.1
+# Places between the ends of a step at which a tool may not lie within the body.
+PLACES = 16
 # Largest turn of a tool with friction in a step [rad]: friction sees the chord of the path.
 TURN = 0.5
 # Tolerance of a penetration that is computed again.
@@ -246,11 +248,14 @@ class ContactForces(Term):
 
     def objection(self, state: State) -> str:
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
-        g0, n0, _ = self._tool.gap(self._x, self._slid)
+        tool, t0 = self._tool, state.clock.before
         g, n, _ = self._gap(state)
-        moved = self._moved(state)
-        ahead = g0 + (n0 * (moved - self._slid)).sum(axis=1)
-        through = (ahead < -self._allowed) & ((g > 0.0) | ((n * n0).sum(axis=1) < 0.0))
+        start, end = tool.absolute(self._x, self._slid, t0), tool.absolute(self._x, self._moved(state), state.t)
+        through = np.zeros(len(g), dtype=bool)
+        for share in np.arange(1, PLACES) / PLACES:
+            u, _ = tool.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
+            between, normal, _ = tool.gap(self._x, u)
+            through |= (between < -self._allowed) & ((g > 0.0) | ((n * normal).sum(axis=1) < 0.0))
         if largest(self.body.cloud.comm, float(np.count_nonzero(through))) > 0.0:
             return f"the tool of {self._name} passed through the surface in one step"
         if self._mu > 0.0 and self._tool.angle(state.clock.before, state.t) > TURN:

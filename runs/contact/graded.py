@@ -5,12 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.declare.cells import Block, edge_lengths, facets, parts_of_facets, shares_of_nodes
+from pdpetsc.declare.cells import (
+    FACETS,
+    Block,
+    edge_lengths,
+    facets,
+    parts_of_facets,
+    shares_of_nodes,
+    volumes_and_moments,
+)
 
 # Growth of the shells outside the core, in sides of their cells.
 GROWTH = 0.8
-# The shells are round from this distance on, in sizes of the core.
-ROUND = 6.0
 
 
 @dataclass(frozen=True)
@@ -19,6 +25,17 @@ class Cloud:
 
     particles: pd.Arrays
     size: np.ndarray
+
+    def contact(self, tool, friction, modulus, fine, name):
+        """Return the contact of the surface, with a stiffness and a penetration by the size of the cells there.
+
+        The defaults of ``pd.Contact`` follow the mean spacing of all particles, which is much larger.
+        """
+        x = np.asarray(self.particles.x)
+        spacing = np.mean(self.particles.volume) ** (1.0 / x.shape[1])
+        return pd.Contact(
+            "contact", tool, friction, stiffness=modulus / fine, penetration=1e-3 * fine / spacing, name=name
+        )
 
 
 def corner(n, core, outer, dim):
@@ -36,8 +53,7 @@ def corner(n, core, outer, dim):
     parts = [core / n * index]
     for k in range(1, m + 1):
         radius = core * (outer / core) ** (k / m)
-        share = min(np.log(radius / core) / np.log(min(ROUND, outer / core)), 1.0)
-        share = share**2 * (3.0 - 2.0 * share)
+        share = k / m
         parts.append(radius * ((1.0 - share) * flat + share * turned))
     points = np.concatenate(parts)
     number = {tuple(at): row for row, at in enumerate(index.tolist())}
@@ -82,24 +98,46 @@ def ball(points, radius):
     return 4.0 * radius**2 * far / (far**2).sum(axis=1)[:, None] * (1.0 - 2.0 * up) + 2.0 * radius * up
 
 
+def disc(points, cells, radius):
+    """Return particles at the nodes of a disc or ball above the origin; its surface has the tag ``contact``."""
+    middle = radius * np.eye(points.shape[1])[-1]
+    return cloud(points, cells, np.abs(np.linalg.norm(points - middle, axis=1) - radius) < 1e-9 * radius)
+
+
 def cloud(points, cells, touches):
-    """Return particles at nodes; ``touches(x)`` selects nodes of the surface, whose facets have the tag ``contact``."""
-    dim = points.shape[1]
-    block = _positive(points, Block("quad" if dim == 2 else "hexahedron", cells))
+    """Return particles at nodes; ``touches`` (n,) are those of the surface whose facets have the tag ``contact``."""
+    block = Block("quad", cells) if points.shape[1] == 2 else Block("tetra", tetrahedra(cells))
+    block = _positive(points, block)
     nodes, volume = shares_of_nodes(points, [block])
     assert len(nodes) == len(points)
     found = facets(points, [block])
     corners = found.corners[found.free]
     node, x, area, facet = parts_of_facets(points, corners, found.area[found.free])
-    on = np.where(corners >= 0, touches(points)[corners], True).all(axis=1)
+    on = np.where(corners >= 0, touches[corners], True).all(axis=1)
     surface = pd.Facets(x, area, node, tags={"contact": on[facet]})
-    return Cloud(pd.Arrays(points, volume, facets=surface), edge_lengths(points, [block]))
+    size = edge_lengths(points, [Block("quad" if points.shape[1] == 2 else "hexahedron", cells)])
+    return Cloud(pd.Arrays(points, volume, facets=surface), size)
+
+
+def tetrahedra(cells):
+    """Return six tetrahedra of each hexahedron (n, 8), alike on both sides of a face: its diagonal at the first node.
+
+    Faces of hexahedra on a ball are warped, and a node that lies by chance in the plane of a facet has no neighbour
+    there from which the facet could be interpolated.
+    """
+    found = []
+    for cell in cells:
+        first = cell.min()
+        for face in FACETS["hexahedron"]:
+            around = cell[list(face)]
+            if first not in around:
+                a, b, c, d = np.roll(around, -np.argmin(around))
+                found += [(first, a, b, c), (first, a, c, d)]
+    return np.array(found)
 
 
 def _positive(points, block):
     """Return the cells with their corners in the order of positive volume."""
-    from pdpetsc.declare.cells import volumes_and_moments
-
-    turned = [0, 3, 2, 1] if block.kind == "quad" else [4, 5, 6, 7, 0, 1, 2, 3]
+    turned = [0, 3, 2, 1] if block.kind == "quad" else [0, 2, 1, 3]
     volume = volumes_and_moments(points, block)[0]
     return Block(block.kind, np.where(volume[:, None] < 0.0, block.nodes[:, turned], block.nodes))

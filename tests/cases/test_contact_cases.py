@@ -1,0 +1,76 @@
+"""Contact with rigid tools against closed forms: Hertz, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros."""
+
+import math
+
+import pytest
+
+from tests.commands import results
+
+
+def found(name, *words, output):
+    return results(f"runs/contact/{name}.py", *words, output=output)["results"]
+
+
+@pytest.mark.parametrize(("top", "force"), [("clamped", 721.2), ("sliding", 690.3)])
+def test_a_half_cylinder_has_the_force_and_the_pressure_of_hertz(top, force, tmp_path):
+    """Force over the approach: MOOSE with a clamped side, Johnson's closed form of a disc with a sliding one."""
+    line = found("hertz_line", "n=12", f"top={top}", output=tmp_path)
+    assert line["force"] == pytest.approx(force, rel=0.01)
+    assert line["half_width_over_hertz"] == pytest.approx(1.0, abs=0.02)
+    assert line["peak_over_hertz"] == pytest.approx(1.0, abs=0.01)
+    assert line["pressure_error"] < 0.05
+
+
+@pytest.mark.long
+def test_the_pressure_below_a_half_cylinder_converges(tmp_path):
+    errors = []
+    for n in (12, 24, 36):
+        line = found("hertz_line", f"n={n}", "top=sliding", output=tmp_path / str(n))
+        errors.append(abs(line["force_error"]))
+    assert errors[1] < 0.5 * errors[0] and errors[2] < 1e-3
+    assert line["half_width_over_hertz"] == pytest.approx(1.0, abs=0.005)
+    assert line["peak_over_hertz"] == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.long
+def test_a_ball_has_the_force_the_radius_and_the_pressure_of_hertz(tmp_path):
+    ball = found("sphere", "n=5", output=tmp_path)
+    assert ball["force_over_hertz"] == pytest.approx(1.027, abs=0.02)
+    assert ball["radius_over_hertz"] == pytest.approx(1.0, abs=0.03)
+    assert ball["peak_over_hertz"] == pytest.approx(1.0, abs=0.06)
+    assert ball["pressure_error"] < 0.2
+
+
+@pytest.mark.long
+def test_a_cylinder_that_is_pulled_sideways_sticks_in_the_middle(tmp_path):
+    """Half width of the zone that sticks; nu is not quite 0.5, which the first value shows most."""
+    pulled = found("mindlin", "n=12", output=tmp_path)
+    for share in (0.25, 0.5, 0.75):
+        assert pulled[f"stick_{round(100 * share)}"] == pytest.approx(math.sqrt(1.0 - share), abs=0.06), share
+    assert 0.9 < pulled["sliding_force"] <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(("load", "friction"), [(15.0, 0.3), (25.0, 0.3)])
+def test_a_block_sticks_to_a_slope_up_to_the_angle_of_friction(load, friction, tmp_path):
+    block = found("slope", "n=5", f"load={load}", f"friction={friction}", output=tmp_path)
+    end = math.radians(load)
+    assert block["drag_over_normal"] == pytest.approx(min(friction, math.tan(end)), rel=1e-4)
+    assert block["carried"] == pytest.approx(max(math.sin(end) - friction * math.cos(end), 0.0), abs=1e-4)
+    assert block["slip_angle"] == pytest.approx(min(load, math.degrees(math.atan(friction))), abs=0.9)
+
+
+def test_a_beam_on_rollers_is_as_stiff_as_timoshenko_says(tmp_path):
+    stiffness = {}
+    for supports in ("rollers", "points"):
+        beam = found("three_point_bending", "n=8", f"supports={supports}", output=tmp_path / supports)
+        assert beam["support_over_force"] == pytest.approx(1.0, abs=1e-3)
+        stiffness[supports] = beam["stiffness_over_timoshenko"]
+    assert stiffness["rollers"] == pytest.approx(1.0, abs=0.04)
+    assert stiffness["points"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_centre_of_a_disc_has_the_tension_of_the_closed_form(tmp_path):
+    disc = found("brazilian", "n=8", output=tmp_path)
+    assert disc["tension_over_closed_form"] == pytest.approx(1.0, abs=0.02)
+    assert disc["compression_over_closed_form"] == pytest.approx(1.0, abs=0.02)
+    assert disc["force_over_johnson"] == pytest.approx(1.0, abs=0.02)

@@ -419,6 +419,11 @@ def _fit(cloud: Cloud, x: Float, area: Float, owner: GlobalIndex, ptr: GlobalInd
     # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.
     on_face = _on_face(cloud, area, members, of, ptr, apart * unit)
     axes, spread = _extent(cloud, members, of, ptr, unit, on_face)
+    # A warped facet may have its own particle in its plane, and no others.
+    alone = spread.sum(axis=1) < dim - 1
+    if alone.any():
+        on_face[alone[of]] = 1.0
+        axes, spread = _extent(cloud, members, of, ptr, unit, on_face)
     along = np.einsum("ei,eij->ej", apart, axes[of]) * spread[of]
     phi = np.concatenate([np.ones((len(of), 1)), along], axis=1)
     weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4 * on_face

@@ -34,6 +34,7 @@ from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.record import RunRecord
 from pdpetsc.running.result import Result, named_numbers
 from pdpetsc.running.signals import Signals, watched
+from pdpetsc.running.suited import refuse_contact_without_weights
 from pdpetsc.solvers.protocol import Solver, Start, StepResult
 
 # A case with the dimension, scheme, materials and damage of an earlier one loads its kernels from numba's cache. An
@@ -200,6 +201,7 @@ class _Run:
                 f"NUMBA_CACHE_DIR to a folder of yours."
             )
         record.summary |= describe(case, prepared.problem, declared, report)
+        refuse_contact_without_weights(case, str(record.summary["scheme"]["note"]))
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]

@@ -9,8 +9,11 @@ from pdpetsc.control import CONTROLS, ByShear, Silling, TangentScaled, ZeroEnerg
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.horizon import spacings
 from pdpetsc.declare.particles import Chunk
+from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence, MeanDilatation, SubHorizons
+from pdpetsc.gradient.weights import MAY_NOT_CONVERGE
 from pdpetsc.material.j2 import J2
 from pdpetsc.material.kinematic import KinematicJ2
 from pdpetsc.problem.problem import Problem
@@ -149,3 +152,21 @@ def locking_note(case: Case, problem: Problem) -> str:
         f"nu = {poisson_ratio(lame):.5g} at F = I, and {which}: displacements are too small and the pressure "
         f"oscillates; write scheme={scheme}, control=pd.ByShear(pd.Silling(0.5))."
     )
+
+
+def refuse_contact_without_weights(case: Case, note: str) -> None:
+    """Raise CaseError if a tool presses a body whose default, conforming weights do not exist (not collective).
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    note : str
+        What the scheme says of its weights.
+    """
+    _, without, why = note.partition(MAY_NOT_CONVERGE)
+    if without and any(isinstance(condition, Contact) for condition in case.conditions):
+        raise CaseError(
+            f"Contact needs conforming weights, which do not exist here{why} With standard ones the pressure would be "
+            f"wrong by half."
+        )

@@ -277,3 +277,20 @@ def test_the_stored_elements_come_out_again():
     pytest.importorskip("skfem")
     grid = cook_elements.solved(cook_elements.ELEMENTS)
     assert grid == pytest.approx(cook_elements.stored(), abs=1e-6)
+
+
+@pytest.mark.parametrize("warp", [1e-3, 1e-4])
+def test_facets_that_are_warped_a_little_keep_their_linear_functions(warp):
+    """A node in the plane of its own warped facet, and its neighbours not: it alone would not do for the facet."""
+    points, block = common.grid(4, 0.0, 0, (1.0, 1.0, 1.0), common.cubes)
+    points = points.copy()
+    points[:, 2] *= 1.0 + warp * points[:, 0] * points[:, 1] * (1.0 + 0.3 * points[:, 0])
+    held = pd.Displacement(pd.region.All(), x=0.0, y=0.0, z=0.0)
+    case = pd.Case(
+        particles=common.of_nodes(points, block), horizon=2.1 / 4.0, material=pd.LinearElastic(E=1.0, nu=0.3),
+        conditions=[held], weights=pd.Conforming(),
+    )  # fmt: skip
+    body = pd.prepare(case).problem.body
+    surface, x = body.surface, body.cloud.x
+    for axis in range(3):
+        np.testing.assert_allclose(surface.interpolated(x[:, axis]), surface.x[:, axis], atol=1e-12)

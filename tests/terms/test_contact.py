@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.gradient.weights import MAY_NOT_CONVERGE
+from pdpetsc.running.suited import refuse_contact_without_weights
 from tests.commands import results
 
 E, NU = 1000.0, 0.3
@@ -415,3 +417,12 @@ def test_names_are_not_used_twice(tmp_path):
         pd.prepare(block(conditions=twice))
     with pytest.raises(pd.CaseError, match="Two columns of the history are named 'tool_y'"):
         pd.run(block(history={"tool_y": pd.Mean(pd.displacement, "y")}), tmp_path)
+
+
+def test_a_body_without_conforming_weights_is_not_pressed():
+    """The default weights fall back to standard ones where conforming ones do not exist."""
+    note = f"a note; {MAY_NOT_CONVERGE}. The reason is this."
+    with pytest.raises(pd.CaseError, match=r"which do not exist here\. The reason is this\."):
+        refuse_contact_without_weights(block(), note)
+    refuse_contact_without_weights(block(), "a note")
+    refuse_contact_without_weights(block(conditions=[pd.Clamp("-y")]), note)

@@ -13,10 +13,10 @@ from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Term
+from pdpetsc.terms.following_load import FollowingLoad
 
 
-class CentrifugalForce(Term):
+class CentrifugalForce(FollowingLoad):
     """Apply ``f_i = m_i w^2 P (x_i + u_i - c)`` to particles of mass ``m_i``.
 
     Parameters
@@ -40,9 +40,6 @@ class CentrifugalForce(Term):
     Construction is collective, the methods are not.
     """
 
-    linear = False
-    load = True
-
     def __init__(self, body: Body, declared: Centrifugal, mass: Float, name: str) -> None:
         dim = body.dim
         if len(declared.about) != dim:
@@ -57,17 +54,7 @@ class CentrifugalForce(Term):
             force = total(body.cloud.comm, self._squared(1.0) * (mass @ self._arm))
         except SolveError as error:
             raise CaseError(str(error)) from error
-        self._resultant = name, 1.0, np.asarray(force)
-
-    @property
-    def parts(self) -> list[str]:
-        """Return an empty list: loads have a separate record."""
-        return []
-
-    @property
-    def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, load parameter and total force (dim,) [force] on the undeformed body."""
-        return [self._resultant]
+        super().__init__(name, force)
 
     def _squared(self, t: float) -> float:
         """Return ``w^2`` [1 / time^2]."""

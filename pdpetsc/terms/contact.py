@@ -16,6 +16,7 @@ from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
+from pdpetsc.terms.chosen_facets import ChosenFacets, by_component
 
 # Pressure over penetration of the default stiffness, in moduli over the spacing [-]. With ten times of it a tool that
 # moves by a spacing a step, with friction, needs four times as many load steps.
@@ -58,13 +59,9 @@ class ContactProduct(RankOneProduct):
     def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
         n, dim = blocks.shape[:2]
         # One stencil for each component of the displacement of a facet.
-        facet, axis = np.repeat(np.arange(n), dim), np.tile(np.arange(dim), n)
-        entry, ptr = entries_of(facets.point_ptr, facet)
-        sizes = np.diff(ptr)
-        column = np.repeat(axis, sizes)
-        h = N[entry, None] * blocks[np.repeat(facet, sizes), :, column]
+        members, entry, of, column = by_component(facets, dim)
+        h = N[entry, None] * blocks[of, :, column]
         g = N[entry, None] * np.eye(dim)[column]
-        members = StencilMembers(facets.owner[facet], ptr, facets.members[entry])
         super().__init__(members, n_owned, h, g, np.ones(n * dim))
         self._facets, self._N, self._blocks = facets, N, blocks
         self._of = np.repeat(np.arange(n), np.diff(facets.point_ptr))
@@ -73,14 +70,10 @@ class ContactProduct(RankOneProduct):
         """Add the forces of the facets of the particles; unlike a gradient, facets resist translations."""
         here = np.isin(self._facets.owner, particles)
         members, N = self._facets.members, self._N
-        moved = _sums(self._of, N[:, None] * du[members], len(here))
+        at = N[:, None] * du[members]
+        moved = np.stack([np.bincount(self._of, along, len(here)) for along in at.T], axis=1)
         force = np.where(here[:, None], np.einsum("fij,fj->fi", self._blocks, moved), 0.0)
         np.add.at(f, members, N[:, None] * force[self._of])
-
-
-def _sums(of: GlobalIndex, values: Float, count: int) -> Float:
-    """Return the sums (count, dim) of rows of values (n, dim) by the number of their facet (n,)."""
-    return np.stack([np.bincount(of, along, count) for along in values.T], axis=1)
 
 
 class ContactForces(Term):
@@ -124,12 +117,8 @@ class ContactForces(Term):
         self.symmetric = self._mu == 0.0
         surface = body.surface
         assert surface is not None
-        at = np.flatnonzero(mask)
-        at = at[np.argsort(surface.owner[at], kind="stable")]
-        self._x, self._area = surface.x[at], np.linalg.norm(surface.area[at], axis=1)
-        entry, ptr = entries_of(surface.ptr, at)
-        self._facets = StencilMembers(surface.owner[at].astype(np.int32), ptr, surface.members[entry])
-        self._N, self._of = surface.N[entry], np.repeat(np.arange(len(at)), np.diff(ptr))
+        self._facets = ChosenFacets(surface, mask)
+        self._x, self._area = self._facets.x, np.linalg.norm(self._facets.area, axis=1)
         # At the last converged step: tangential tractions and displacements as seen from the tool, and multipliers.
         self._tau, self._slid = np.zeros_like(self._x), np.zeros_like(self._x)
         self._p0 = np.zeros(len(self._x))
@@ -145,7 +134,7 @@ class ContactForces(Term):
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
         """Return the members of the facets (not collective)."""
-        return self._facets.point_ptr, self._facets.members
+        return self._facets.stencils.point_ptr, self._facets.stencils.members
 
     def _moved(self, state: State) -> Float:
         """Compute the displacements of the facets as seen from the tool (n_facets, dim) [length] (collective)."""
@@ -156,8 +145,7 @@ class ContactForces(Term):
         u = state.u_local
 
         def make() -> tuple[Float, Float]:
-            moved = _sums(self._of, self._N[:, None] * u[self._facets.members], len(self._x))
-            return self._tool.relative(self._x, moved, state.t)
+            return self._tool.relative(self._x, self._facets.interpolated(u), state.t)
 
         return state.kept((self, "seen"), make)
 
@@ -212,16 +200,17 @@ class ContactForces(Term):
         touching = self._in_space(state)
         force = np.zeros_like(self._x)
         force[touching.rows] = self._area[touching.rows, None] * touching.traction
-        np.add.at(f, self._facets.members, -self._N[:, None] * force[self._of])
+        self._facets.spread(force, f)
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the blocks of the facets in contact."""
         touching = self._in_space(state)
         rows = touching.rows
-        entry, ptr = entries_of(self._facets.point_ptr, rows)
-        facets = StencilMembers(self._facets.owner[rows], ptr, self._facets.members[entry])
+        stencils = self._facets.stencils
+        entry, ptr = entries_of(stencils.point_ptr, rows)
+        facets = StencilMembers(stencils.owner[rows], ptr, stencils.members[entry])
         blocks = self._area[rows, None, None] * touching.blocks
-        return [ContactProduct(facets, self.body.cloud.n_owned, self._N[entry], blocks)]
+        return [ContactProduct(facets, self.body.cloud.n_owned, self._facets.N[entry], blocks)]
 
     def energy(self, state: State) -> float:
         """Return ``sum_f |a_f| ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
@@ -293,7 +282,10 @@ class ContactForces(Term):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""
         found = {"p": self._p0, "slid": self._slid} | ({"tau": self._tau} if self._mu > 0.0 else {})
-        return {f"{self._declared.name}_{of}": KeptArray(self._facets.owner, values) for of, values in found.items()}
+        return {
+            f"{self._declared.name}_{of}": KeptArray(self._facets.stencils.owner, values)
+            for of, values in found.items()
+        }
 
     def restored(self) -> None:
         """Continue with the multipliers of a checkpoint."""
@@ -331,7 +323,7 @@ class ContactForces(Term):
         """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
 
         def traction(state: State) -> Float:
-            touching, owner = self._in_space(state), self._facets.owner
+            touching, owner = self._in_space(state), self._facets.stencils.owner
             values = np.zeros((self.body.cloud.n_owned, self.body.dim))
             np.add.at(values, owner[touching.rows], self._area[touching.rows, None] * touching.traction)
             area = np.bincount(owner, self._area, len(values))

@@ -187,4 +187,4 @@ def test_the_log_says_what_is_held_and_which_reactions_are_of_nothing(tmp_path):
     (tmp_path / "wrong.py").write_text(wrong)
     refused = called(tmp_path / "wrong.py", "-o", tmp_path / "none")
     assert refused.returncode == 2
-    assert "it takes E, nu, plane (did you mean plane?)." in refused.stderr
+    assert "it takes E, nu, plane, density (did you mean plane?)." in refused.stderr

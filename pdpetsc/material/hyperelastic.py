@@ -330,6 +330,8 @@ class Hyperelastic(EnergyMaterial):
         dim).
     values : mapping of str to float, optional
         Constants by name [stress, or none].
+    density : float, optional
+        Mass per reference volume [mass / volume].
     **constants : float
         Constants as keyword arguments.
 
@@ -365,11 +367,13 @@ class Hyperelastic(EnergyMaterial):
         fibre: Direction | None = None,
         second_fibre: Direction | None = None,
         values: Mapping[str, float] | None = None,
+        density: float | None = None,
         **constants: float,
     ) -> None:
         given = {} if values is None else values
         together = {**given, **constants} if isinstance(given, Mapping) else given
-        fields = {"energy": energy, "plane": plane, "fibre": fibre, "second_fibre": second_fibre, "values": together}
+        fields: dict[str, Any] = {"energy": energy, "plane": plane, "fibre": fibre, "second_fibre": second_fibre}
+        fields |= {"values": together, "density": density}
         for name, value in fields.items():
             object.__setattr__(self, name, value)
         self.__post_init__()

@@ -1,7 +1,7 @@
 """Disc between two rigid planes: the tension at its centre, as in the Brazilian test. Units mm, N.
 
 A disc of diameter D = 50, E = 50,000, nu = 0.2, plane strain, of unit thickness. Rigid planes approach its centre by
-``load`` each. A quarter is computed, on nodes of quadrilaterals that grow away from the contact (``graded.py``): ``n``
+``load`` each. A quarter is computed, on nodes of quadrilaterals that grow away from the contact (``refined.py``): ``n``
 over 0.4 mm at the contact, and about 50 / n mm wide at the centre.
 
 Under two opposite forces P the centre has ``s_x = 2 P / (pi D)`` and ``s_y = -6 P / (pi D)`` per thickness (Hondros
@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 sys.path.append(str(Path(__file__).parent))
-import graded
 import hertz
+import refined
 
 import pdpetsc as pd
 
@@ -40,8 +40,8 @@ def closed_form(load):
 
 
 def case(n=16, friction=0.0, load=0.00465):
-    points, cells = graded.corner(n, CORE, 2.0 * RADIUS, 2)
-    cloud = graded.disc(graded.ball(points, RADIUS), cells, RADIUS)
+    points, cells = refined.corner(n, CORE, 2.0 * RADIUS, 2)
+    cloud = refined.disc(refined.ball(points, RADIUS), cells, RADIUS)
     plane = pd.RigidPlane((0.0, 0.0), (0.0, 1.0), move=(0.0, load))
     centre = (0.0, RADIUS)
 

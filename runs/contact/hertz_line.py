@@ -1,7 +1,7 @@
 """Half cylinder pressed on a rigid plane: Hertz's line contact. Units m, N.
 
 A half cylinder of radius 3, E = 1e6, nu = 0.3, plane strain, lies on a rigid plane, which moves up by ``load``. Half of
-it is computed, on nodes of quadrilaterals that grow away from the contact (``graded.py``): ``n`` over 0.08 m at the
+it is computed, on nodes of quadrilaterals that grow away from the contact (``refined.py``): ``n`` over 0.08 m at the
 contact. ``top=clamped`` holds the flat side in both directions, as in the test hertz_cyl of MOOSE, whose force is 721.2
 and 721.5 for two kinds of contact. With ``top=sliding`` it is free along x, as in a disc between two planes: the
 closed form is ``load = 2 F / (pi E*) (ln(4 R / a) - 1 / 2)``, F = 690.30 (Johnson, equation 5.57).
@@ -23,8 +23,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 sys.path.append(str(Path(__file__).parent))
-import graded
 import hertz
+import refined
 
 import pdpetsc as pd
 
@@ -48,8 +48,8 @@ def closed_form(load):
 
 
 def case(n=24, load=0.002, friction=0.0, top="clamped", scheme="sub_horizons"):
-    points, cells = graded.corner(n, CORE, 2.0 * RADIUS, 2)
-    cloud = graded.disc(graded.ball(points, RADIUS), cells, RADIUS)
+    points, cells = refined.corner(n, CORE, 2.0 * RADIUS, 2)
+    cloud = refined.disc(refined.ball(points, RADIUS), cells, RADIUS)
     clamped = pd.choose("top", top, {"clamped": True, "sliding": False})
     known = {"sub_horizons": pd.SubHorizons, "correspondence": pd.Correspondence}
     plane = pd.RigidPlane((0.0, 0.0), (0.0, 1.0), move=(0.0, load))

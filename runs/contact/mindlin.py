@@ -2,7 +2,7 @@
 
 A rigid cylinder of radius 3 below a half disc of radius 4, E = 1e6, plane strain, held along its arc, moves up by
 ``load``, and then sideways by ``slide`` times ``friction load`` in twelve steps. The particles are nodes of
-quadrilaterals that grow away from the contact (``graded.py``): ``n`` over 0.08 at the contact.
+quadrilaterals that grow away from the contact (``refined.py``): ``n`` over 0.08 at the contact.
 
 With the normal force P and the tangential force Q the half width c of the zone that sticks, over that of the contact,
 is ``c / a = sqrt(1 - Q / (friction P))``. That holds if normal and tangential displacements do not depend on each
@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).parent))
-import graded
 import hertz
+import refined
 
 import pdpetsc as pd
 
@@ -66,8 +66,8 @@ class Sticking(pd.Quantity):
 
 
 def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45):
-    points, cells = graded.mirrored(*graded.corner(n, CORE, OUTER, 2))
-    cloud = graded.cloud(points, cells, points[:, 1] < 1e-9)
+    points, cells = refined.mirrored(*refined.corner(n, CORE, OUTER, 2))
+    cloud = refined.cloud(points, cells, points[:, 1] < 1e-9)
     tool = PressedCylinder((0.0, -RADIUS), RADIUS, move=(0.0, load), slide=slide * friction * load)
     arc = ~pd.region.Sphere((0.0, 0.0), OUTER * (1.0 - 1e-9))
     modulus = E / (1.0 - nu**2)

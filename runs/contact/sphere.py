@@ -2,7 +2,7 @@
 
 The lower half of an elastic ball of radius 2, E = 1.40625e7, nu = 0.25, is held at its equator. A rigid ball of radius
 2 below it moves up by ``load``. A quarter is computed, on nodes of hexahedra that grow away from the contact
-(``graded.py``): ``n`` over 0.15 at the contact.
+(``refined.py``): ``n`` over 0.15 at the contact.
 
 Hertz, for an approach of half spaces by ``load``: ``a = sqrt(R load)``, ``p0 = 2 E* a / (pi R)`` and ``F = 4/3 E* a
 load``, with ``1 / R = 1/2 + 1/2`` and ``E* = E / (1 - nu^2)``: 0.1, 9.549e5 and 20,000 for 0.01. The half ball is held
@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).parent))
-import graded
 import hertz
+import refined
 
 import pdpetsc as pd
 
@@ -32,8 +32,8 @@ CORE = 0.15
 
 
 def case(n=8, load=0.01, friction=0.0, scheme="correspondence"):
-    points, cells = graded.corner(n, CORE, 2.0 * RADIUS, 3)
-    cloud = graded.disc(graded.ball(points, RADIUS), cells, RADIUS)
+    points, cells = refined.corner(n, CORE, 2.0 * RADIUS, 3)
+    cloud = refined.disc(refined.ball(points, RADIUS), cells, RADIUS)
     known = {"sub_horizons": pd.SubHorizons, "correspondence": pd.Correspondence}
     tool = pd.RigidSphere((0.0, 0.0, -RADIUS), RADIUS, move=(0.0, 0.0, load))
     radius = np.sqrt(EFFECTIVE * load)

@@ -511,7 +511,7 @@ def test_what_fast_and_hot_flow_uses_up_follows_the_failure_strain_of_each_step(
     solution = pd.run(pulled_bar(criterion), tmp_path / "whole").solution
     kept = solution.problem.damage.driving_variable.arrays()
     assert np.allclose(kept["grown"], exact, rtol=1e-9)
-    assert solution.state.clock == (1.0, criterion.duration, 0.0)
+    assert solution.state.clock == (1.0, criterion.duration, 0.0, 1.0)
     hours = pd.JohnsonCookFailure(**(FAST | {"rate_0": 7.2, "duration": 2.0 / 3600.0}))
     solution = pd.run(pulled_bar(hours), tmp_path / "hours").solution
     assert np.allclose(solution.problem.damage.driving_variable.arrays()["grown"], exact, rtol=1e-9)

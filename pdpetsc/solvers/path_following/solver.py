@@ -114,14 +114,14 @@ class PathSolver(SnesSolver):
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
         super().resume(start)
-        if not self._measure.restarts:
-            raise CaseError("A path by ArcLength cannot restart: its direction is not in the checkpoint.")
         found = [start.resume[name] for name in RESUMED if name in start.resume]
         if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
             raise CaseError(
                 "The checkpoint is damaged: a negative step, force or load factor of the path has no meaning; restart "
                 "from another checkpoint."
             )
+        if not self._measure.restarts:
+            raise CaseError("A path by ArcLength cannot restart: its direction is not in the checkpoint.")
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the equilibria along the path, from the load factor of ``start`` (collective).

@@ -12,7 +12,7 @@ from pdpetsc.declared import Count, Declared
 class Modes(Declared):
     """The lowest modes of the body in its last equilibrium, or the loads at which it buckles.
 
-    With mirror planes they are those symmetric modes only. Facets that a ``Contact`` presses are held by its stiffness.
+    With mirror planes only the symmetric modes are found. Facets that a ``Contact`` presses are held by its stiffness.
 
     Frequencies solve ``K phi = (2 pi f)^2 M phi`` with the tangent K of the last equilibrium and the masses ``M = rho
     V`` of the particles, from the ``density`` of their materials. A negative frequency -f stands for the growth
@@ -34,8 +34,8 @@ class Modes(Declared):
     Raises
     ------
     CaseError
-        A material has no density, or the solver or the tangent is not suited: it has to be symmetric, of load steps by
-        Newton's method, without bonds that fail.
+        A material has no density or may flow, the solver is not ``Newton``, the tangent is not symmetric, or the case
+        has damage, heat conduction or a periodic cell.
 
     References
     ----------

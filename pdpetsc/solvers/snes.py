@@ -166,8 +166,9 @@ class SnesSolver(StepSolver):
                 return resting, linear
             state = self.problem.state(found, sought.t)
             if not self.problem.update_multipliers(state):
-                sought.reason = self.problem.objection(state) or sought.reason
-                return not self.problem.objection(state), linear
+                objection = self.problem.objection(state)
+                sought.reason = objection or sought.reason
+                return not objection, linear
             sought.reason = ""
             linear += self._iterate(found)
             resting = sought.at_rest(self._read(self._x), self._rtol)

@@ -29,7 +29,7 @@ class Cloud:
     def contact(self, tool, friction, modulus, fine, name):
         """Return the contact of the surface, with a stiffness and a penetration by the size of the cells there.
 
-        The defaults of ``pd.Contact`` follow the mean spacing of all particles, which is much larger.
+        The defaults of ``pd.Contact`` follow the mean spacing at all facets of the surface, which is much larger.
         """
         x = np.asarray(self.particles.x)
         spacing = np.mean(self.particles.volume) ** (1.0 / x.shape[1])

@@ -10,9 +10,9 @@ of the whole path, both over the largest load.
 """
 
 import numpy as np
+import strips
 
 import pdpetsc as pd
-from pdpetsc.declare.cells import Block, facets, parts_of_facets, shares_of_nodes
 
 E, SPAN, RISE, HEIGHT = 1000.0, 20.0, 0.6, 0.5
 K = np.pi / SPAN
@@ -32,13 +32,7 @@ def particles(n):
     """Return the nodes of quadrilaterals along the arch."""
     m = round(SPAN / HEIGHT * n)
     x, across = np.meshgrid(np.linspace(0.0, SPAN, m + 1), np.linspace(-0.5, 0.5, n + 1) * HEIGHT, indexing="ij")
-    points = np.stack([x, RISE * np.sin(K * x) + across], axis=2).reshape(-1, 2)
-    first = (np.arange(m)[:, None] * (n + 1) + np.arange(n)).ravel()
-    quads = Block("quad", np.stack([first, first + n + 1, first + n + 2, first + 1], axis=1))
-    nodes, volume = shares_of_nodes(points, [quads])
-    found = facets(points, [quads])
-    node, at, area, _ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
-    return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node)))
+    return strips.particles(x, RISE * np.sin(K * x) + across)
 
 
 def case(n=8, step=0.02, horizon=2.015):

@@ -6,9 +6,9 @@ not depend on the thickness, which is 1 here and 0.05 in the source.
 """
 
 import numpy as np
+import strips
 
 import pdpetsc as pd
-from pdpetsc.declare.cells import Block, facets, parts_of_facets, shares_of_nodes
 
 # [Hz]
 REFERENCE = (44.623, 130.03, 162.70, 246.05, 379.90, 391.44)
@@ -20,13 +20,7 @@ def particles(n):
     m = round(n * LENGTH / (ROOT - TIP) * np.log(ROOT / TIP))
     height = ROOT * (TIP / ROOT) ** (np.arange(m + 1) / m)
     x, share = np.meshgrid(LENGTH * (ROOT - height) / (ROOT - TIP), np.linspace(-0.5, 0.5, n + 1), indexing="ij")
-    points = np.stack([x, share * height[:, None]], axis=2).reshape(-1, 2)
-    first = (np.arange(m)[:, None] * (n + 1) + np.arange(n)).ravel()
-    quads = Block("quad", np.stack([first, first + n + 1, first + n + 2, first + 1], axis=1))
-    nodes, volume = shares_of_nodes(points, [quads])
-    found = facets(points, [quads])
-    node, x, area, _ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
-    return pd.Arrays(points[nodes], volume, facets=pd.Facets(x, area, np.searchsorted(nodes, node)))
+    return strips.particles(x, share * height[:, None])
 
 
 def case(n=12, horizon=2.015, scheme="sub_horizons"):

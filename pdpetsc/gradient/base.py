@@ -459,6 +459,6 @@ def refuse_flat(cloud: Cloud, own: GlobalIndex, what: str) -> None:
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
     raise FlatFamilies(
         f"{count} particles have a family too small or too flat for {what} at horizon {cloud.horizon:g} (ids "
-        f"{listed}); use a wider horizon, add particles there, or move cracks that pass through particles.",
+        f"{listed}); widen the horizon, add particles there, or move cracks that pass through particles.",
         gid,
     )

@@ -248,7 +248,7 @@ def test_every_uniform_state_balances_with_every_scheme_and_horizon(scheme, kind
                 found = out_of_balance(tmp_path, kind, dim, scheme, motion, horizon, {1: 20, 2: 8, 3: 4}[dim])
             except pd.CaseError as refused:
                 assert horizon < 2.5, refused
-                assert "use a wider horizon" in str(refused)
+                assert "widen the horizon" in str(refused)
             else:
                 assert found < 1e-8, (dim, horizon)
 

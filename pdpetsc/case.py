@@ -307,6 +307,7 @@ class Case(Declared):
         laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
         named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
         named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
+        named.append((self.solver.title, self.solver.duration))
         named += [("the criterion of damage", time) for law in self.damage_laws for time in law.criterion.times]
         return [(name, duration) for name, duration in named if duration is not None]
 

@@ -154,6 +154,37 @@ class Displacement(VectorCondition):
 
 
 @dataclass(frozen=True)
+class InitialVelocity(VectorCondition):
+    """Velocity of the particles of a region at the start of a motion (``Implicit``, ``Explicit``).
+
+    Where several hold the same particle, the last one counts. Held components move as they are held.
+
+    Parameters
+    ----------
+    region : Region
+        The particles.
+    x, y, z : float or callable, optional
+        Components [length / time]: numbers, or functions of positions (n, dim) and step time 0; 0 if not declared.
+    schedule : callable, optional
+        Not used: the velocity is that at the start.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> thrown = pd.InitialVelocity(pd.region.All(), x=100.0)
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Set the velocity."""
+        onto.initial_velocity(self, name)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.schedule is not None:
+            raise CaseError("An InitialVelocity has no schedule, because it is the velocity at the start.")
+
+
+@dataclass(frozen=True)
 class Force(VectorCondition):
     """Total dead force on a region, shared by its particles in proportion to their volumes.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declare.region import Region
-from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
+from pdpetsc.declare.steps import MOST_STEPS
+from pdpetsc.declared import Count, Declared, Fraction, Natural, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 
@@ -49,6 +50,8 @@ class DeclaredSolver(Declared):
         If True, the load factor is an unknown: it may have any value, and unstable equilibria are accepted.
     restarts : bool
         If True, a run can continue from a checkpoint.
+    duration : float or None
+        Physical time from step time 0 to 1 of a motion [time]; None for equilibria.
     """
 
     title: ClassVar[str]
@@ -56,6 +59,11 @@ class DeclaredSolver(Declared):
     of_energy: ClassVar[bool] = True
     finds_load: ClassVar[bool] = False
     restarts: ClassVar[bool] = True
+
+    @property
+    def duration(self) -> float | None:
+        """Return the physical time of a motion with inertia [time], None for equilibria."""
+        return None
 
     def check(self, dim: int) -> None:
         """Raise CaseError if the declaration does not fit a body of ``dim`` dimensions (not collective)."""
@@ -306,8 +314,117 @@ class PathFollowing(DeclaredSolver):
         self.measure.check(dim)
 
 
+@dataclass(frozen=True)
+class Implicit(DeclaredSolver):
+    """Motion with inertia by generalised-alpha steps, each solved by Newton's method with PETSc's SNES.
+
+    ``M ((1 - alpha_m) a + alpha_m a_0) + (1 - alpha_f) r(u) + alpha_f r(u_0) = 0`` with the residual ``r`` of statics
+    at both ends of a step, of second order in the time step. A step that fails is halved. All materials have a
+    ``density``; masses are lumped. Step times from 0 to 1 are the times from 0 to ``end``: the schedules and functions
+    of conditions get ``t / end``. The steps of the case are not used.
+
+    Parameters
+    ----------
+    dt : float
+        Largest time step [time].
+    end : float
+        Time at the end [time].
+    radius : float
+        Spectral radius at infinite frequency [-]: 1 conserves the energy of a linear body, less damps waves that the
+        time step does not resolve.
+    damping : float
+        ``c`` of damping forces ``c M v`` [1 / time].
+    every : int
+        Time steps between records in history and files.
+
+    References
+    ----------
+    Chung1993.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.Implicit(dt=1e-6, end=1e-4, radius=0.9)
+    """
+
+    dt: Positive
+    end: Positive
+    radius: float = 1.0
+    damping: NonNegative = field(default=0.0, kw_only=True)
+    every: Count = field(default=1, kw_only=True)
+
+    title = "Implicit dynamics"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 <= self.radius <= 1.0:
+            raise CaseError(f"Implicit takes a radius from 0 to 1, not {self.radius:g}.")
+        if self.dt > self.end or self.end / self.dt > MOST_STEPS:
+            raise CaseError(
+                f"Implicit goes from 0 to {self.end:g} in steps of {self.dt:g}; take at least 1 and at most "
+                f"{MOST_STEPS} steps."
+            )
+
+    @property
+    def duration(self) -> float:
+        """Return the time at the end."""
+        return self.end
+
+
+@dataclass(frozen=True)
+class Explicit(DeclaredSolver):
+    """Motion with inertia by central differences (velocity Verlet), without a matrix.
+
+    The time step is ``safety`` times the stable one, ``2 / w`` with the largest frequency of the tangent, found by
+    Lanczos' method, again after every ``renewed`` steps. All materials have a ``density``; masses are lumped. Step
+    times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run whose energy does not balance ends
+    with an error. The steps of the case are not used.
+
+    Parameters
+    ----------
+    end : float
+        Time at the end [time].
+    safety : float
+        Time step over the stable one [-].
+    damping : float
+        ``c`` of damping forces ``c M v`` [1 / time].
+    records : int
+        Number of records in history and files, at equal times.
+    renewed : int
+        Time steps between estimates of the stable one.
+
+    References
+    ----------
+    Hughes1987, section 9.1 (central differences).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.Explicit(end=1e-4, records=200)
+    """
+
+    end: Positive
+    safety: Fraction = 0.9
+    damping: NonNegative = field(default=0.0, kw_only=True)
+    records: Count = field(default=100, kw_only=True)
+    renewed: Count = field(default=500, kw_only=True)
+
+    title = "Explicit dynamics"
+    needs = Needs(tangent="none")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.records > MOST_STEPS:
+            raise CaseError(f"Explicit takes at most {MOST_STEPS} records, not {self.records}.")
+
+    @property
+    def duration(self) -> float:
+        """Return the time at the end."""
+        return self.end
+
+
 # Solvers that a case accepts; messages name the classes of this module.
-AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | DeclaredSolver
+AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | Implicit | Explicit | DeclaredSolver
 
 # Every solver with its default options, by its word on the command line.
 SOLVERS: dict[str, DeclaredSolver] = {

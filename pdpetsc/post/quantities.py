@@ -36,6 +36,7 @@ from pdpetsc.post.solution import (
     stress,
     temperature,
 )
+from pdpetsc.problem.inertia import Inertia
 
 EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; components of user fields are checked at evaluation.
@@ -351,6 +352,54 @@ class ControlEnergy(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
         return solution.energies["control"]
+
+
+@dataclass(frozen=True)
+class KineticEnergy(Quantity):
+    """Kinetic energy of a motion, ``sum m v^2 / 2`` [energy].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"kinetic": pd.KineticEnergy()}
+    """
+
+    dimension = "energy"
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        inertia_of(solution, self)
+        return solution.energies["kinetic"]
+
+
+@dataclass(frozen=True)
+class EnergyError(Quantity):
+    """Error of the energy balance of a motion over the largest energy so far [-].
+
+    It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
+    and the work of loads, supports and tools. It is positive if the body has gained energy. The numerical damping of
+    ``Implicit`` with a radius below 1 makes it negative. It is 0 if bonds of a body with deformation gradients fail,
+    whose dissipation is not known.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"energy_error": pd.EnergyError()}
+    """
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the error."""
+        return inertia_of(solution, self).error
+
+
+def inertia_of(solution: Solution, asked_by: object) -> Inertia:
+    """Return the inertia of the body (not collective); raise CaseError if it has none."""
+    inertia = solution.problem.inertia
+    if inertia is None:
+        raise CaseError(
+            f"{type(asked_by).__name__} needs a motion with inertia. Use solver=pd.Explicit(...) or pd.Implicit(...)."
+        )
+    return inertia
 
 
 @dataclass(frozen=True)

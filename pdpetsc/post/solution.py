@@ -190,6 +190,12 @@ def displacement(solution: Solution) -> Float:
     return solution.u
 
 
+def velocity(solution: Solution) -> Float:
+    """Return the velocity of a motion (n_owned, dim) [length / time]; zero for equilibria."""
+    inertia = solution.problem.inertia
+    return np.zeros_like(solution.u) if inertia is None else inertia.motion(solution.state)[0]
+
+
 def deformation_gradient(solution: Solution) -> Float:
     """Return F, the mean over the points of each particle (n_owned, dim, dim) [-]."""
     return solution.problem.material_term.deformation_gradient(solution.state)

@@ -15,6 +15,7 @@ from pdpetsc.gradient.products import ConstraintProduct, Entries, Loop, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, DamageModel
 from pdpetsc.problem.expansion import FreeDeformation
+from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
@@ -48,6 +49,8 @@ class Problem:
         The damage of bonds; None if bonds do not fail.
     springs : LooseSprings or None
         Term with the springs on loose particles, which solvers move; None if bonds cannot fail.
+    inertia : Inertia or None
+        Term with masses and velocities; None for equilibria.
     fields : list of SolvedField
         Fields that are solved for besides the displacement, at most one.
     last_step : LastStep or None
@@ -78,6 +81,7 @@ class Problem:
         self.damage = damage
         self.bond_damage: Damage | None = None if damage is None else damage.of_bonds
         self.springs: LooseSprings | None = None
+        self.inertia: Inertia | None = None
         self.fields: list[SolvedField] = []
         # Cells, expansion and damage do not continue as in the last step.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
@@ -275,6 +279,8 @@ class Problem:
         for term in self.terms:
             if term.arrays():
                 term.restored()
+        if self.inertia is not None:
+            self.inertia.restored_at(t)
 
     def commit(self, state: State) -> None:
         """Commit a converged state: update all history variables."""

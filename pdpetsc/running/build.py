@@ -53,6 +53,7 @@ from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, DamageModel, make_damage
 from pdpetsc.problem.extra import build_extra
+from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.problem import Problem
@@ -340,10 +341,38 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     problem = Problem(body, material_term, terms, supports, damage, case.duration)
     for one in conduction:
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
+    if case.solver.duration is not None:
+        problem.inertia = _inertia(case, problem, materials, applied.velocity)
+        problem.terms.append(problem.inertia)
+        return problem
+    if applied.velocity is not None:
+        raise CaseError("InitialVelocity needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
     if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem
+
+
+def _inertia(case: Case, problem: Problem, materials: OfParticles, velocity: Float | None) -> Inertia:
+    """Return the inertia of a body; raise CaseError on all ranks if it cannot move (collective)."""
+    cloud, density = problem.body.cloud, materials.density
+    if density is None:
+        lacking = next(one for one in materials.materials if one.density is None)
+        raise CaseError(
+            f"{case.solver.title} needs the density of each material, and {type(lacking).__name__} has none. Give "
+            "density=..."
+        )
+    if case.heat is not None or problem.supports.ties is not None or not problem.supports.fixed[cloud.n_owned :].all():
+        raise CaseError(
+            f"{case.solver.title} does not go with heat conduction, PointSupport or a cell of unknown strain. Use "
+            "Newton."
+        )
+    n = cloud.n_owned
+    start = np.zeros((n, cloud.dim)) if velocity is None else velocity
+    damping = float(getattr(case.solver, "damping", 0.0))
+    found = Inertia(problem.body, density * cloud.volume[:n], start, damping, case.duration)
+    found.hold(problem.supports.fixed)
+    return found
 
 
 def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:

@@ -208,7 +208,8 @@ def prepare(
         del chunk
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
-        refuse_rigid_motion(cloud, families, problem.resisted)
+        if problem.inertia is None:
+            refuse_rigid_motion(cloud, families, problem.resisted)
     return Prepared(case, problem, chosen, phases)
 
 

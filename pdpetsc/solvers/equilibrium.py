@@ -253,11 +253,11 @@ class Equilibrium:
     def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
         """Return the tolerance of the residual norm, and the norm of its round-off [force].
 
-        The residual is compared with the loads and reactions at ``x``. In a diverging iterate they can have any size.
-        In a nonlinear body the reference is therefore at most the sum of the forces in the step. These are loads,
-        unbalanced forces and reactions at its start, and the resistance against the change of the prescribed unknowns.
-        The sum is taken over particles, since a few supports may carry a distributed load. Round-off grows with the
-        displacement, which ``_note_move`` bounds.
+        The residual is compared with the loads, reactions and forces of inertia at ``x``. In a diverging iterate they
+        can have any size. In a nonlinear body the reference is therefore at most the sum of the forces in the step.
+        These are loads, unbalanced forces and reactions at its start, and the resistance against the change of the
+        prescribed unknowns. The sum is taken over particles, since a few supports may carry a distributed load.
+        Round-off grows with the displacement, which ``_note_move`` bounds.
         """
         values = self.at_prescribed(x)
         change = values - self._start
@@ -269,7 +269,9 @@ class Equilibrium:
         begin = np.zeros(1) if self.unbalanced is None else self.unbalanced
         resisted = np.where(self.free, 0.0, self.resisted)
         jump = np.where(self.supported, change, 0.0)
-        squares = [self.external, self._reaction, held, round_off, change, jump]
+        inertia = self.problem.inertia
+        moving = np.zeros(1) if inertia is None else inertia.inertial(self.problem.state(values, self.t))
+        squares = [self.external, self._reaction, held, moving, round_off, change, jump]
         sums = total(
             self.problem.body.cloud.comm,
             [float((one**2).sum()) for one in squares]

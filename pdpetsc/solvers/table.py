@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from pdpetsc.declare.solvers import DeclaredSolver, DynamicRelaxation, EventDriven, Newton, PathFollowing
+from pdpetsc.declare.solvers import (
+    DeclaredSolver,
+    DynamicRelaxation,
+    EventDriven,
+    Explicit,
+    Implicit,
+    Newton,
+    PathFollowing,
+)
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
+from pdpetsc.solvers.dynamics.explicit import ExplicitSolver
+from pdpetsc.solvers.dynamics.implicit import ImplicitSolver
 from pdpetsc.solvers.monolithic import MonolithicSolver
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
@@ -19,6 +29,8 @@ IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     Newton: StaticSolver,
     DynamicRelaxation: RelaxationSolver,
     PathFollowing: PathSolver,
+    Implicit: ImplicitSolver,
+    Explicit: ExplicitSolver,
 }
 # Solver for monolithic coupling with the temperature, by the solver of displacements alone.
 MONOLITHIC: dict[type[Solver], type[Solver]] = {StaticSolver: MonolithicSolver}

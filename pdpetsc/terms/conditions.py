@@ -14,6 +14,7 @@ from pdpetsc.declare.conditions import (
     Displacement,
     FollowerPressure,
     Force,
+    InitialVelocity,
     MeanStrain,
     MeanStress,
     SurfacePressure,
@@ -77,6 +78,8 @@ class Applied:
         # Forces that depend on the displacement.
         self.following: list[Term] = []
         self._density = density
+        # Initial velocities of the own particles, None for a body at rest.
+        self.velocity: Float | None = None
         self._contacts: list[Contact] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
@@ -94,6 +97,17 @@ class Applied:
         """Prescribe displacements."""
         mask, components = self._where(condition, name)
         self.supports.prescribe(condition, components, np.flatnonzero(mask), name)
+
+    def initial_velocity(self, condition: InitialVelocity, name: str) -> None:
+        """Set initial velocities."""
+        mask, components = self._where(condition, name)
+        cloud, own = self.body.cloud, np.flatnonzero(mask)
+        if self.velocity is None:
+            self.velocity = np.zeros((cloud.n_owned, cloud.dim))
+        with agreed(cloud.comm):
+            for axis, value in components:
+                found = value if callable(value) else (lambda x, t, value=value: np.full(len(x), value))
+                self.velocity[own, axis] = condition.value(found, cloud.x[own], 0.0)
 
     def mean_displacement(self, condition: PointSupport, name: str) -> None:
         """Prescribe the mean displacement of a patch: one of its particles is tied to the others."""

@@ -1,0 +1,198 @@
+"""Inertia of the particles: masses, velocities, and the blend of a generalised-alpha step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.gradient.products import PointBlocks, Product
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray, Term
+
+# Largest relative difference of two time steps with the same tangent: step times are rounded.
+SAME_STEP = 1e-9
+
+
+@dataclass(frozen=True)
+class Blend:
+    """The constants of a generalised-alpha step, as weights of the old accelerations and forces [-].
+
+    Attributes
+    ----------
+    alpha_m, alpha_f : float
+        Weights of acceleration and forces at the start of the step.
+    beta, gamma : float
+        Newmark's constants.
+
+    References
+    ----------
+    Chung1993, Eq. (17) and (25).
+    """
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+
+    @classmethod
+    def of(cls, radius: float) -> Blend:
+        """Return the blend with a spectral radius at infinite frequency: 1 conserves, 0 damps short waves at once."""
+        alpha_m, alpha_f = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
+        shift = 1.0 - alpha_m + alpha_f
+        return cls(alpha_m, alpha_f, 0.25 * shift**2, shift - 0.5)
+
+
+class Inertia(Term):
+    """Add ``(M ((1 - alpha_m) a + alpha_m a_0) + alpha_f s_0) / (1 - alpha_f)`` to the residual, and damping ``c M v``.
+
+    Index 0 is the last converged step, ``s_0`` the sum of all other forces and of damping there. The residual is that
+    of a generalised-alpha step over ``1 - alpha_f``. Its forces are those of the end of the step and of the start, so
+    that materials are evaluated where their history is updated. Velocity and acceleration follow from Newmark's
+    formulas. M is lumped: the masses of the particles. Held components have the mean velocity of the step, and no
+    inertia here.
+
+    Parameters
+    ----------
+    body : Body
+        The body.
+    mass : (n_owned,) float64
+        Masses of the own particles [mass].
+    velocity : (n_owned, dim) float64
+        Initial velocities [length / time].
+    damping : float
+        ``c`` [1 / time].
+    duration : float
+        Physical time from load parameter 0 to 1 [time].
+
+    Attributes
+    ----------
+    mass : (n_owned,) float64
+        As above.
+    u, v, a : (n_owned, dim) float64
+        Displacement [length], velocity and acceleration of the last converged step.
+    begin : (n_owned, dim) float64
+        ``s_0``, 0 for held components [force]; set by the solver.
+    blend : Blend
+        Constants of the step; set by the solver.
+    error : float
+        Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
+
+    References
+    ----------
+    Chung1993.
+    """
+
+    of_solver = True
+    energy_of = "kinetic"
+
+    def __init__(self, body: Body, mass: Float, velocity: Float, damping: float, duration: float) -> None:
+        self._body, self.mass, self.damping, self._duration = body, mass, damping, duration
+        n, dim = body.cloud.n_owned, body.dim
+        self.u, self.v, self.a = np.zeros((n, dim)), velocity.copy(), np.zeros((n, dim))
+        self.blend = Blend.of(1.0)
+        self._free = np.ones((n, dim), dtype=bool)
+        self._t, self._dt = 0.0, 0.0
+        self.error = 0.0
+        self.begin = np.zeros((n, dim))
+
+    @property
+    def parts(self) -> list[str]:
+        """Return the names of the parts (not collective)."""
+        return ["inertia"]
+
+    def hold(self, held: Mask) -> None:
+        """Set the components without inertia (n_rows, dim) bool, which are held (not collective)."""
+        self._free = ~held[: len(self.u)]
+
+    def step_to(self, t: float) -> None:
+        """Prepare a step to load parameter ``t``, which changes the tangent if its size is another (not collective)."""
+        dt = (t - self._t) * self._duration
+        if abs(dt - self._dt) > SAME_STEP * dt:
+            self._dt = dt
+            self.version += 1
+
+    def place(self, u: Float, v: Float, a: Float, t: float) -> None:
+        """Set displacement, velocity and acceleration (n_owned, dim) at load parameter ``t`` (not collective)."""
+        self.u[:], self.v[:], self.a[:], self._t = u, v, a, t
+
+    def motion(self, state: State) -> tuple[Float, Float]:
+        """Return velocity and acceleration (n_owned, dim) at the end of a step, or of the last one (not collective)."""
+        dt = (state.t - self._t) * self._duration
+        if dt <= 0.0:
+            return self.v, self.a
+        beta, gamma = self.blend.beta, self.blend.gamma
+        moved = state.own - self.u
+        a = (moved - dt * self.v) / (beta * dt**2) - (0.5 / beta - 1.0) * self.a
+        v = self.v + dt * ((1.0 - gamma) * self.a + gamma * a)
+        mean = moved / dt
+        return np.where(self._free, v, mean), np.where(self._free, a, (mean - self.v) / dt)
+
+    def ahead(self, t: float) -> Float:
+        """Return the displacements of the free components if the acceleration remains (n_owned, dim) [length]."""
+        dt = (t - self._t) * self._duration
+        return np.asarray(self.u + dt * self.v + 0.5 * dt**2 * self.a)
+
+    def inertial(self, state: State) -> Float:
+        """Return ``M a`` of the free components (n_owned, dim) [force] (not collective)."""
+        return np.where(self._free, self.mass[:, None] * self.motion(state)[1], 0.0)
+
+    def damped(self, velocity: Float) -> Float:
+        """Return the forces of damping of the free components (n_owned, dim) [force] (not collective)."""
+        return np.where(self._free, self.damping * self.mass[:, None] * velocity, 0.0)
+
+    def add_row_force(self, state: State, r: Float) -> None:
+        """Add inertia and damping."""
+        v, a = self.motion(state)
+        blend, m = self.blend, self.mass[:, None]
+        force = m * ((1.0 - blend.alpha_m) * a + blend.alpha_m * self.a) + blend.alpha_f * self.begin
+        r[: len(self.u)] += np.where(self._free, force / (1.0 - blend.alpha_f), 0.0) + self.damped(v)
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return ``M ((1 - alpha_m) / ((1 - alpha_f) beta dt^2) + c gamma / (beta dt))``."""
+        blend, dt = self.blend, (state.t - self._t) * self._duration
+        if dt <= 0.0:
+            return []
+        rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
+        rate += self.damping * blend.gamma / (blend.beta * dt)
+        return [PointBlocks((rate * self.mass)[:, None, None] * np.eye(self._body.dim))]
+
+    def energy(self, state: State) -> float:
+        """Return the kinetic energy of this rank [energy] (not collective)."""
+        return 0.5 * float(self.mass @ (self.motion(state)[0] ** 2).sum(axis=1))
+
+    def energy_of_free(self) -> float:
+        """Return the kinetic energy of the free components at the last converged step [energy] (not collective)."""
+        return 0.5 * float(self.mass @ np.where(self._free, self.v**2, 0.0).sum(axis=1))
+
+    def accelerated(self) -> float:
+        """Return ``sum m a^2`` of the free components at the last converged step (not collective)."""
+        return float(self.mass @ np.where(self._free, self.a**2, 0.0).sum(axis=1))
+
+    def commit(self, state: State) -> None:
+        """Store the motion at the end of the step."""
+        if state.t > self._t:
+            v, a = self.motion(state)
+            self.place(state.own, v, a, state.t)
+
+    @property
+    def has_history(self) -> bool:
+        """Return True: the forces depend on the last converged step."""
+        return True
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return displacement, velocity and acceleration of the last converged step."""
+        owner = np.arange(len(self.u), dtype=np.int32)
+        return {"u": KeptArray(owner, self.u), "v": KeptArray(owner, self.v), "a": KeptArray(owner, self.a)}
+
+    def restored_at(self, t: float) -> None:
+        """Continue from load parameter ``t`` (not collective)."""
+        self._t = t
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return the physical time for the history."""
+        comm = self._body.cloud.comm
+        return {"time": lambda state: state.t * self._duration if comm.rank == 0 else 0.0}

@@ -1,0 +1,111 @@
+"""Energy balance of a motion, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.inertia import Inertia
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+
+# Error of the balance over the largest energy so far from which a run ends.
+MOST = 0.05
+# Names in a checkpoint: energy at the start, energy lost by damping, and the largest energy so far [energy].
+START, DAMPED, LARGEST, WORK = "energy_at_start", "energy_damped", "largest_energy", "work_of_motion"
+# Energies that belong to the work of tools on the body, not to the body.
+OF_TOOLS = ("contact",)
+
+
+class MotionBalance:
+    """Compare kinetic, stored and dissipated energy of a motion with the work on the body.
+
+    The work is that of the trapezoidal rule over the time steps, of loads, supports and tools, and of terms of the case
+    that define no energy. Held components have the energy that their supports give them, which is left out.
+
+    Parameters
+    ----------
+    problem : Problem
+        A problem with inertia.
+    inertia : Inertia
+        Its inertia.
+    resume : mapping of str to float
+        Numbers of a checkpoint; empty at the start of a run.
+
+    Attributes
+    ----------
+    known : bool
+        Whether all energies are known. They are not if bonds of a body with deformation gradients fail.
+    step_work : float
+        Work since the last record [energy].
+
+    Notes
+    -----
+    Every method is collective.
+    """
+
+    def __init__(self, problem: Problem, inertia: Inertia, resume: Mapping[str, float]) -> None:
+        self._problem, self._inertia = problem, inertia
+        self._outside = [
+            term
+            for term in problem.terms
+            if not (term.load or term.of_solver) and (type(term).energy is Term.energy or term.energy_of in OF_TOOLS)
+        ]
+        self.known = problem.damage is None or problem.material_term.dissipated_energy() is not None
+        self._begun = START in resume
+        self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
+        self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
+        self.step_work = 0.0
+        self._u = self._force = self._resisted = np.zeros(0)
+
+    @property
+    def resume(self) -> dict[str, float]:
+        """Return the numbers for a checkpoint (not collective)."""
+        return {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
+
+    def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
+        """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
+        self._u, self._force = state.u, self._acting(state, internal, external)
+        self._resisted = self._inertia.damped(self._inertia.v)
+        if not self._begun and self.known:
+            stored, moving = self._held(state, kinetic)
+            self._at_start, self._largest = stored + moving, max(abs(stored), moving)
+        self._begun = True
+
+    def move(self, state: State, internal: Float, external: Float) -> None:
+        """Add the work of the step to a state."""
+        force, resisted = self._acting(state, internal, external), self._inertia.damped(self._inertia.v)
+        moved = state.u - self._u
+        work = 0.5 * float(((force + self._force) * moved).sum())
+        lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
+        work, lost = total(self._problem.body.cloud.comm, [work, lost]).tolist()
+        self._work += work
+        self.step_work += work
+        self._damped += lost
+        self._u, self._force, self._resisted = state.u, force, resisted
+
+    def record(self, state: State, kinetic: float) -> float:
+        """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
+        self.step_work = 0.0
+        if not self.known:
+            return 0.0
+        stored, moving = self._held(state, kinetic)
+        lost = self._problem.material_term.dissipated_energy() or 0.0
+        self._largest = max(self._largest, abs(stored), moving, abs(self._work))
+        off = stored + moving + lost + self._damped - self._at_start - self._work
+        return off / self._largest if self._largest > 0.0 else 0.0
+
+    def _acting(self, state: State, internal: Float, external: Float) -> Float:
+        """Compute the forces that work on the body (n_rows, dim) [force]."""
+        held = np.where(self._problem.supports.fixed, internal, external)
+        return held - self._problem.force_of(self._outside, state) if self._outside else held
+
+    def _held(self, state: State, kinetic: float) -> tuple[float, float]:
+        """Return stored and kinetic energy of the body [energy]."""
+        energies = self._problem.energies(state)
+        stored = sum(value for name, value in energies.items() if name not in (*OF_TOOLS, self._inertia.energy_of))
+        return stored, float(total(self._problem.body.cloud.comm, kinetic))

@@ -1,0 +1,177 @@
+"""Motion by central differences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import Explicit
+from pdpetsc.errors import CaseError, Interrupted, SolveError
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of
+from pdpetsc.solvers.dynamics.stable_step import largest_frequency
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
+
+# Largest number of bonds that fail at once: all.
+ALL = 2**62
+# Time steps between checks for signals.
+CHECKED = 100
+# Step time of the first step, for the velocity of held components at the start.
+FIRST = 1e-6
+# Growth of the largest frequency from one estimate to the next that steps between them survive.
+STIFFER = 1.05
+# Names in a checkpoint: the largest frequency [1 / time], and the number of time steps so far.
+FREQUENCY, STEPS = "largest_frequency", "time_steps"
+
+
+class ExplicitSolver(Solver):
+    """Integrate ``M a + c M v + f_int = f_ext`` by velocity Verlet steps.
+
+    ``v_1/2 = v + dt a / 2``, ``u + dt v_1/2``, ``v_1/2 + dt a / 2``; damping takes ``v_1/2``. Damage and histories are
+    updated at the end of every step.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with inertia.
+    declared : Explicit
+        End, safety and records.
+    stop : callable
+        Called repeatedly and collectively; True ends the march (a signal arrived).
+
+    Notes
+    -----
+    Every method is collective.
+    """
+
+    unit = "time step"
+    advice = "take a smaller safety, look for zero-energy modes, or add or raise the zero-energy control"
+
+    def __init__(self, problem: Problem, declared: Explicit, stop: Callable[[], bool]) -> None:
+        self._problem, self._declared, self._stop = problem, declared, stop
+        self._inertia = inertia_of(problem)
+        self._steps = 0
+
+    @classmethod
+    def make(cls, setting: Setting) -> ExplicitSolver:
+        """Build the solver of a setting."""
+        return cls(setting.problem, setting.declared, setting.stop)
+
+    @classmethod
+    def refuse(cls, problem: Problem) -> None:
+        """Raise CaseError for a problem of fields that are solved for."""
+        if problem.fields:
+            raise CaseError("Explicit does not solve for a temperature. Use Implicit, or prescribe it.")
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return 0: there is no matrix."""
+        return 0
+
+    def description(self) -> str:
+        """Return a short description of the solver."""
+        return f"central differences, {self._declared.safety:g} of the stable time step"
+
+    def destroy(self) -> None:
+        """Do nothing: there is no memory outside Python."""
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield the recorded states."""
+        problem, inertia, declared = self._problem, self._inertia, self._declared
+        first = FIRST / declared.records
+        u = begin_motion(problem, start.u, first) if start.t == 0.0 else start.u
+        balance = MotionBalance(problem, inertia, start.resume)
+        state = problem.state(u, start.t)
+        largest = start.resume.get(FREQUENCY) or self._frequency(u, start.t)
+        self._steps = int(start.resume.get(STEPS, 0))
+        dt = self._stable(largest)
+        balance.begin(state, *forces(problem, state), self._kinetic(dt))
+        done = round(start.t * declared.records)
+        for record in range(done + 1, declared.records + 1):
+            t, target = (record - 1) / declared.records, record / declared.records
+            count = max(1, math.ceil((target - t) * declared.end / dt * (1.0 - 1e-12)))
+            broken = 0
+            for number in range(1, count + 1):
+                at = target if number == count else t + (target - t) * number / count
+                u, failed = self._step(u, at, (target - t) * declared.end / count, balance)
+                broken += failed
+                self._steps += 1
+                if self._steps % CHECKED == 0 and self._stop():
+                    raise Interrupted(
+                        f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
+                    )
+                if self._steps % declared.renewed == 0 and self._changes:
+                    now = self._frequency(u, at)
+                    if now > STIFFER * largest / declared.safety:
+                        raise SolveError(
+                            f"At step time {at:.6g} the body has become so stiff that the time step is beyond the "
+                            f"stable one; take a smaller safety, or renewed below {declared.renewed}."
+                        )
+                    largest, dt = now, self._stable(now)
+            work = balance.step_work
+            state = problem.state(u, target)
+            inertia.error = balance.record(state, self._kinetic((target - t) * declared.end / count))
+            if not math.isfinite(inertia.error) or abs(inertia.error) > MOST:
+                raise SolveError(
+                    f"At step time {target:.6g} the energy does not balance by {abs(inertia.error):.2g} of the largest "
+                    f"so far; {self.advice}."
+                )
+            result = StepResult(True, "end of the time steps", iterations=count)
+            resume = {**balance.resume, FREQUENCY: largest, STEPS: float(self._steps)}
+            yield Converged(u, target, result, broken=broken, resume=resume, work=work)
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return the printed line of a record."""
+        broken = f", {converged.broken} bonds broke" if converged.broken else ""
+        return (
+            f"step {number:4d}  t = {converged.t:<8.6g} {converged.result.iterations} time steps of "
+            f"{self._declared.end / self._declared.records / converged.result.iterations:.3g}, energy off by "
+            f"{self._inertia.error:.1e}{broken}"
+        )
+
+    @property
+    def _changes(self) -> bool:
+        """Return True if the largest frequency may change."""
+        return not self._problem.linear or self._problem.damage is not None
+
+    def _frequency(self, u: Float, t: float) -> float:
+        return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)
+
+    def _stable(self, frequency: float) -> float:
+        """Return the time step for a largest frequency."""
+        return self._declared.safety * 2.0 / frequency if frequency > 0.0 else self._declared.end
+
+    def _kinetic(self, dt: float) -> float:
+        """Return ``m v_-1/2 v_1/2 / 2`` of the free components on this rank, which a linear motion conserves."""
+        inertia = self._inertia
+        return inertia.energy_of_free() - 0.125 * dt**2 * inertia.accelerated()
+
+    def _step(self, u: Float, t: float, dt: float, balance: MotionBalance) -> tuple[Float, int]:
+        """Move by one time step to load parameter ``t``; return the unknowns and the number of bonds that broke."""
+        problem, inertia, fixed = self._problem, self._inertia, self._problem.supports.fixed
+        n, m = len(inertia.mass), inertia.mass[:, None]
+        half = inertia.v + 0.5 * dt * inertia.a
+        moved = u.copy()
+        moved[:n] += dt * half
+        if self._held:
+            moved = np.where(fixed, problem.supports.prescribed(t), moved)
+        state = problem.state(moved, t)
+        internal, external = forces(problem, state)
+        a = (external - internal)[:n] / m - inertia.damping * half
+        v = half + 0.5 * dt * a
+        if self._held:
+            mean = (moved[:n] - u[:n]) / dt
+            a, v = np.where(fixed[:n], 0.0, a), np.where(fixed[:n], mean, v)
+        inertia.place(moved[:n], v, a, t)
+        balance.move(state, internal, external)
+        broken = problem.break_bonds(state, ALL) if problem.damage is not None else 0
+        problem.commit(problem.state(moved, t) if broken else state)
+        return moved, broken
+
+    @property
+    def _held(self) -> bool:
+        return bool(self._problem.supports.fixed.any())

@@ -1,0 +1,121 @@
+"""Motion by generalised-alpha steps with SNES."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import Implicit
+from pdpetsc.declare.steps import Steps
+from pdpetsc.errors import SolveError
+from pdpetsc.problem.assembly import Filler
+from pdpetsc.problem.inertia import Blend
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of
+from pdpetsc.solvers.load_steps import load_steps
+from pdpetsc.solvers.newton import StaticSolver
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+
+# Rounding of a number of steps.
+ROUNDED = 1e-9
+
+
+class ImplicitSolver(StaticSolver):
+    """Integrate a motion by generalised-alpha steps, each an equilibrium with inertia.
+
+    Parameters
+    ----------
+    problem, assembler, stop
+        As for ``StaticSolver``.
+    declared : Implicit
+        Time step, end and damping of short waves.
+    """
+
+    advice = "take a shorter dt, look for zero-energy modes, or try -snes_linesearch_type basic or -snes_rtol 1e-8"
+
+    def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], declared: Implicit) -> None:
+        super().__init__(problem, assembler, stop, Steps(math.ceil(declared.end / declared.dt * (1.0 - ROUNDED))))
+        self._declared, self._inertia = declared, inertia_of(problem)
+        self._inertia.blend = Blend.of(declared.radius)
+
+    @classmethod
+    def make(cls, setting: Setting) -> ImplicitSolver:
+        """Build the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.stop, setting.declared)
+
+    def description(self) -> str:
+        """Return a short description of the time integration and its solvers."""
+        return (
+            f"generalised-alpha, radius {self._declared.radius:g}, {self.steps.stops().__len__()} steps, "
+            f"{super().description()}"
+        )
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find the end of the time step to load parameter ``t`` (collective)."""
+        self._inertia.step_to(t)
+        return super().solve(u, t)
+
+    def _as_before(self, u: Float, t: float) -> int | None:
+        """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
+        sought, n = self._equilibrium, len(self._inertia.mass)
+        if not np.array_equal(u[:n], self._inertia.u):
+            return None  # the step is solved again with other damage
+        ahead = u.copy()
+        ahead[:n] = self._inertia.ahead(t)
+        linear = self._run(sought.at_prescribed(ahead))
+        if not self._failed() or self.stop():
+            return linear
+        sought.reason = ""
+        sought.norms.clear()
+        sought.forget()
+        return None
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield the recorded steps (collective)."""
+        problem, inertia = self.problem, self._inertia
+        u = begin_motion(problem, start.u, self.steps.first) if start.t == 0.0 else start.u
+        balance = MotionBalance(problem, inertia, start.resume)
+        state = problem.state(u, start.t)
+        self._begin_step(*(found := forces(problem, state)))
+        balance.begin(state, *found, inertia.energy_of_free())
+        number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
+        for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
+            state = problem.state(converged.u, converged.t)
+            self._begin_step(*(found := forces(problem, state)))
+            balance.move(state, *found)
+            number += 1
+            failures += converged.failures
+            broken, sweeps = broken + converged.broken, sweeps + converged.sweeps
+            iterations += converged.result.iterations
+            linear += converged.result.linear_iterations
+            if number % self._declared.every and converged.t < 1.0 - ROUNDED:
+                continue
+            work = balance.step_work
+            inertia.error = balance.record(state, inertia.energy_of_free())
+            self._refuse_unbalanced(inertia.error, converged.t)
+            result = replace(converged.result, iterations=iterations, linear_iterations=linear)
+            resume = {**converged.resume, **balance.resume}
+            yield replace(
+                converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
+            )
+            failures, broken, sweeps, iterations, linear = [], 0, 0, 0, 0
+
+    def _begin_step(self, internal: Float, external: Float) -> None:
+        """Store the forces at the start of the next step."""
+        inertia = self._inertia
+        n = len(inertia.mass)
+        static = (internal - external)[:n] + inertia.damped(inertia.v)
+        inertia.begin[:] = np.where(self._fixed[:n], 0.0, static)
+
+    def _refuse_unbalanced(self, error: float, t: float) -> None:
+        """Raise SolveError if the body has gained energy, or lost some that the integrator does not damp."""
+        if error > MOST or (error < -MOST and self._declared.radius == 1.0):
+            raise SolveError(
+                f"At step time {t:.6g} the energy does not balance by {abs(error):.2g} of the largest so far; take a "
+                f"shorter dt."
+            )

@@ -1,0 +1,53 @@
+"""Forces and start of a motion, common to the time integrators."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import SolveError
+from pdpetsc.problem.inertia import Inertia
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+
+
+def forces(problem: Problem, state: State) -> tuple[Float, Float]:
+    """Compute internal forces without inertia, and external forces (n_rows, dim) [force] (collective).
+
+    Raises
+    ------
+    SolveError
+        The forces are not defined: det F <= 0.
+    """
+    internal = problem.internal_force(state, of_solver=False)
+    if internal is None:
+        raise SolveError(
+            f"At step time {state.t:.6g} the motion has det F <= 0, or a strain without stress; take shorter steps, "
+            f"or look for zero-energy modes."
+        )
+    return internal, problem.external_force(state)
+
+
+def inertia_of(problem: Problem) -> Inertia:
+    """Return the inertia of a problem of motion (not collective)."""
+    assert problem.inertia is not None
+    return problem.inertia
+
+
+def begin_motion(problem: Problem, u: Float, dt: float) -> Float:
+    """Set velocity and acceleration at step time 0; return the unknowns (n_rows, dim) there (collective).
+
+    Held components start with their mean velocity over a first step to the step time ``dt``.
+    """
+    inertia, fixed = inertia_of(problem), problem.supports.fixed
+    n = len(inertia.mass)
+    at_0, later = problem.supports.prescribed(0.0), problem.supports.prescribed(dt)
+    start = np.where(fixed, at_0, u)
+    held = ((later - at_0) / (dt * problem.duration))[:n]
+    v = np.where(fixed[:n], held, inertia.v)
+    inertia.place(start[:n], v, np.zeros_like(v), 0.0)
+    internal, external = forces(problem, problem.state(start, 0.0))
+    unbalanced = (external - internal)[:n] - inertia.damped(v)
+    a = np.where(fixed[:n], 0.0, unbalanced / inertia.mass[:, None])
+    inertia.place(start[:n], v, a, 0.0)
+    return start

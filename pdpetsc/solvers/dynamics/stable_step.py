@@ -1,0 +1,70 @@
+"""The stable time step of central differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+
+# Largest number of Lanczos steps, and relative accuracy of the largest frequency at which they end.
+ITERATIONS, EXACT = 60, 1e-3
+
+
+def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
+    """Return an upper estimate of the largest circular frequency of ``M^-1/2 K M^-1/2`` [1 / time] (collective).
+
+    Lanczos' method without orthogonalisation finds the largest eigenvalue first; its residual is added to it. The
+    operator acts on the free components; an unsymmetric tangent is taken as if it were symmetric.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, whose tangent at the state is applied.
+    mass : (n_owned,) float64
+        Masses of the own particles.
+
+    References
+    ----------
+    Lehoucq1998, section 4.4 (the residual of a Ritz value).
+    """
+    comm, cloud = problem.body.cloud.comm, problem.body.cloud
+    n, dim = cloud.n_owned, cloud.dim
+    free = ~problem.supports.fixed[:n]
+    root = np.where(free, 1.0 / np.sqrt(mass)[:, None], 0.0)
+    tangent = problem.linearised(state)
+    padded = np.zeros((cloud.n_rows, dim))
+
+    def apply(y: Float) -> Float:
+        padded[:n] = root * y
+        return np.asarray(root * tangent(padded)[:n])
+
+    def dot(a: Float, b: Float) -> float:
+        return float(total(comm, float((a * b).sum())))
+
+    gid = cloud.gid[:n, None].astype(float)
+    v = np.where(free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(dim)), 0.0)
+    size = np.sqrt(dot(v, v))
+    if size == 0.0:
+        return 0.0
+    v, before, beta = v / size, np.zeros_like(v), 0.0
+    diagonal: list[float] = []
+    beside: list[float] = []
+    upper = 0.0
+    for _ in range(ITERATIONS):
+        w = apply(v) - beta * before
+        alpha = dot(w, v)
+        w -= alpha * v
+        beta = np.sqrt(dot(w, w))
+        diagonal.append(alpha)
+        values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
+        residual = beta * abs(float(vectors[-1, -1]))
+        upper = float(values[-1]) + residual
+        if residual <= EXACT * abs(upper) or beta <= np.finfo(float).eps * abs(upper):
+            break
+        beside.append(beta)
+        before, v = v, w / beta
+    return float(np.sqrt(max(upper, 0.0)))

@@ -42,6 +42,8 @@ class MotionBalance:
         Whether all energies are known. They are not if bonds of a body with deformation gradients fail.
     step_work : float
         Work since the last record [energy].
+    amplified : float
+        Energy of the body at the last record over the largest that it was given [-].
 
     Notes
     -----
@@ -59,7 +61,7 @@ class MotionBalance:
         self._begun = START in resume
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
-        self.step_work = 0.0
+        self.step_work, self.amplified, self._given = 0.0, 0.0, 0.0
         self._u = self._force = self._resisted = np.zeros(0)
 
     @property
@@ -76,9 +78,9 @@ class MotionBalance:
             self._at_start, self._largest = stored + moving, max(abs(stored), moving)
         self._begun = True
 
-    def move(self, state: State, internal: Float, external: Float) -> None:
-        """Add the work of the step to a state."""
-        force, resisted = self._acting(state, internal, external), self._inertia.damped(self._inertia.v)
+    def move(self, state: State, internal: Float, external: Float, velocity: Float) -> None:
+        """Add the work of the step to a state, with the velocity (n_owned, dim) that damping takes."""
+        force, resisted = self._acting(state, internal, external), self._inertia.damped(velocity)
         moved = state.u - self._u
         work = 0.5 * float(((force + self._force) * moved).sum())
         lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
@@ -96,6 +98,8 @@ class MotionBalance:
         stored, moving = self._held(state, kinetic)
         lost = self._problem.material_term.dissipated_energy() or 0.0
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
+        self._given = max(self._given, abs(self._at_start + self._work), lost + self._damped)
+        self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
         return off / self._largest if self._largest > 0.0 else 0.0
 

@@ -1,0 +1,276 @@
+"""Motion with inertia: order in time, conservation, ranks, restart and refusals."""
+
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+import scipy
+
+import pdpetsc as pd
+from pdpetsc.declare import region
+from pdpetsc.solvers.dynamics import stable_step
+from tests.commands import results
+
+E, RHO, LENGTH = 200.0, 2.0, 1.0
+SPEED = np.sqrt(E / RHO)
+
+
+def bar(solver, n=8, start=None, law=None, **options):
+    """Return a bar that is held at its end and starts with a velocity."""
+    given = {
+        "particles": pd.LatticeNodes(0.0, LENGTH, LENGTH / n),
+        "material": law or pd.LinearElastic(E=E, nu=0.0, density=RHO),
+        "conditions": [
+            pd.Displacement("-x", x=0.0),
+            pd.InitialVelocity(region.All(), x=start or (lambda x, t: 0.1 * x[:, 0])),
+        ],
+        "solver": solver,
+        "history": {
+            "tip": pd.Mean(pd.displacement, "x", "+x"),
+            "kinetic": pd.KineticEnergy(),
+            "error": pd.EnergyError(),
+        },
+        "fields": [],
+    }
+    return pd.Case(**{**given, **options})
+
+
+def exact(case, times):
+    """Return the displacement of the last particle in the modes of mass and stiffness of the particles."""
+    prepared = pd.prepare(case)
+    problem, n = prepared.problem, prepared.cloud.n_owned
+    tangent = problem.linearised(problem.state(np.zeros((n, 1))))
+    K = np.stack([tangent(np.eye(n)[:, k : k + 1]).flatten() for k in range(n)], axis=1)
+    free = ~problem.supports.fixed[:, 0]
+    m, v = problem.inertia.mass[free], problem.inertia.v[free, 0]
+    K = K[np.ix_(free, free)]
+    squares, modes = scipy.linalg.eigh(K, np.diag(m))
+    w = np.sqrt(np.maximum(squares, 0.0))
+    amounts = modes.T @ (m * v)
+    last = np.argmax(prepared.cloud.x[:n][free, 0])
+    times = times[:, None]
+    return times * np.sinc(times * w / np.pi) @ (amounts * modes[last])
+
+
+def errors(solvers, tmp_path):
+    found = []
+    for number, solver in enumerate(solvers):
+        case = bar(solver)
+        history = pd.run(case, tmp_path / str(number)).history
+        reference = exact(case, np.array(history["time"]))
+        found.append(np.abs(np.array(history["tip"]) - reference).max() / np.abs(reference).max())
+    return found
+
+
+PERIOD = 4.0 * LENGTH / SPEED
+
+
+@pytest.mark.parametrize("radius", [1.0, 0.8, 0.0])
+def test_implicit_steps_are_of_second_order(radius, tmp_path):
+    coarse, fine = errors([pd.Implicit(dt=PERIOD / n, end=PERIOD, radius=radius) for n in (400, 800)], tmp_path)
+    assert fine < 0.01
+    assert coarse / fine == pytest.approx(4.0, rel=0.1)
+
+
+def test_explicit_steps_are_of_second_order(tmp_path):
+    coarse, fine = errors([pd.Explicit(end=PERIOD, safety=s, records=4) for s in (0.1, 0.05)], tmp_path)
+    assert fine < 0.01
+    assert coarse / fine == pytest.approx(4.0, rel=0.15)
+
+
+def test_implicit_steps_reach_the_closed_form(tmp_path):
+    (error,) = errors([pd.Implicit(dt=PERIOD / 40000, end=PERIOD / 20, every=100)], tmp_path)
+    assert error < 1e-6
+
+
+@pytest.mark.long
+def test_a_free_vibration_keeps_its_energy_for_a_thousand_periods(tmp_path):
+    case = bar(pd.Implicit(dt=PERIOD / 20, end=1000 * PERIOD, every=100), n=4)
+    assert np.abs(pd.run(case, tmp_path).history["error"]).max() < 1e-8
+
+
+def test_energy_is_constant_or_is_damped_as_declared(tmp_path):
+    kept = pd.run(bar(pd.Implicit(dt=PERIOD / 20, end=30 * PERIOD, every=20)), tmp_path / "kept").history
+    assert np.abs(kept["error"]).max() < 1e-9
+    verlet = pd.run(bar(pd.Explicit(end=30 * PERIOD)), tmp_path / "verlet").history
+    assert np.abs(verlet["error"]).max() < 1e-10
+    short = pd.run(bar(pd.Implicit(dt=PERIOD / 20, end=3 * PERIOD, radius=0.5)), tmp_path / "short").history
+    assert -0.05 < short["error"][-1] < -1e-4
+    for number, solver in enumerate(
+        (pd.Implicit(dt=PERIOD / 100, end=PERIOD, damping=2.0), pd.Explicit(end=PERIOD, damping=2.0))
+    ):
+        damped = pd.run(bar(solver), tmp_path / f"damped{number}").history
+        assert np.abs(damped["error"]).max() < 1e-3
+        assert damped["kinetic"][-1] < 0.6 * damped["kinetic"][0]
+
+
+def spinning(solver, n=5, dim=2):
+    """Return a free square that spins and flies."""
+
+    def turn(axis):
+        return lambda x, t: 3.0 + (-1.0) ** (axis + 1) * 4.0 * (x[:, 1 - axis] - 0.5)
+
+    return pd.Case(
+        particles=pd.Lattice((0.0,) * dim, (1.0,) * dim, 1.0 / n),
+        material=pd.NeoHookean(E=E, nu=0.3, density=RHO),
+        control=pd.Silling(1.0),
+        scheme=pd.Correspondence(),
+        horizon=2.015 / n,
+        conditions=[pd.InitialVelocity(region.All(), x=turn(0), y=turn(1))],
+        solver=solver,
+        history={"kinetic": pd.KineticEnergy(), "error": pd.EnergyError()},
+        fields=[pd.displacement, pd.velocity],
+    )
+
+
+def momenta(result):
+    solution = result.solution
+    m, x, v = solution.problem.inertia.mass, solution.x + solution.u, pd.velocity(solution)
+    return m @ v, m @ (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
+
+
+@pytest.mark.parametrize("solver", [pd.Explicit(end=1.0), pd.Implicit(dt=0.01, end=1.0)], ids=["explicit", "implicit"])
+def test_a_free_body_keeps_its_momenta_and_energy(solver, tmp_path):
+    result = pd.run(spinning(solver), tmp_path)
+    linear, angular = momenta(result)
+    assert linear == pytest.approx([3.0 * RHO, 3.0 * RHO], rel=1e-9)
+    # sum m r^2 of the cells is (1 - 1 / n^2) / 6 of a square.
+    spin = RHO * 4.0 * (1.0 - 1.0 / 25.0) / 6.0
+    exactly = isinstance(solver, pd.Explicit)
+    assert angular == pytest.approx(spin, rel=1e-9 if exactly else 1e-3)
+    assert np.abs(result.history["error"]).max() < 1e-3
+
+
+SPINNING = """
+import pdpetsc as pd
+from tests.solvers.test_dynamics import spinning
+
+
+def case(explicit=True, dim=2):
+    return spinning(pd.Explicit(end=0.2, records=4) if explicit else pd.Implicit(dt=0.02, end=0.2), dim=dim)
+"""
+
+
+@pytest.mark.parametrize("explicit", ["yes", "no"])
+def test_ranks_and_matrix_free_steps_move_alike(explicit, tmp_path):
+    path = tmp_path / "case.py"
+    path.write_text(SPINNING)
+
+    def displacement(name, *words, ranks=1):
+        results(path, f"explicit={explicit}", "dim=3", *words, ranks=ranks, output=tmp_path / name)
+        with h5py.File(tmp_path / name / "fields.h5") as file:
+            last = max(name for name in file if name.startswith("step_"))
+            return np.array(file[last]["displacement"])
+
+    one = displacement("one")
+    assert displacement("two", ranks=2) == pytest.approx(one, abs=1e-9)
+    assert displacement("three", ranks=3) == pytest.approx(one, abs=1e-9)
+    if explicit == "no":
+        free = displacement("free", "-pd_jacobian", "matfree", "-ksp_rtol", "1e-10")
+        assert free == pytest.approx(one, abs=1e-8)
+
+
+class Stopping(pd.Quantity):
+    """Ends a run after half of its records."""
+
+    def evaluate(self, solution):
+        if solution.step == 5:
+            raise RuntimeError("stopped")
+        return 0.0
+
+
+@pytest.mark.parametrize("explicit", [True, False])
+def test_a_restart_moves_as_if_the_run_had_not_stopped(explicit, tmp_path):
+    solver = pd.Explicit(end=0.2, records=10) if explicit else pd.Implicit(dt=0.02, end=0.2)
+    case = dataclasses.replace(spinning(solver), checkpoints=1)
+    whole = pd.run(case, tmp_path / "whole")
+    half = dataclasses.replace(case, history={**case.history, "stop": Stopping()})
+    with pytest.raises(pd.RunError):
+        pd.run(half, tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
+    assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
+    assert np.array_equal(again.solution.problem.inertia.v, whole.solution.problem.inertia.v)
+    assert again.history["error"][-1] == whole.history["error"][-1]
+
+
+@pytest.mark.parametrize("explicit", [True, False])
+@pytest.mark.parametrize(("length", "time", "force"), [(1e-6, 1e-9, 1e-20), (1e3, 1e6, 1e20)])
+def test_units_change_nothing(explicit, length, time, force, tmp_path):
+    stress = force / length**2
+    density = force * time**2 / length**4
+
+    def moved(l=1.0, t=1.0, E=E, rho=RHO):
+        solver = pd.Explicit(end=0.4 * t) if explicit else pd.Implicit(dt=0.01 * t, end=0.4 * t)
+        case = bar(
+            solver,
+            particles=pd.LatticeNodes(0.0, LENGTH * l, LENGTH * l / 8),
+            material=pd.NeoHookean(E=E, nu=0.0, density=rho),
+            conditions=[
+                pd.Displacement("-x", x=0.0),
+                pd.InitialVelocity(region.All(), x=lambda x, s: 0.5 * x[:, 0] / t),
+            ],
+        )
+        return np.array(pd.run(case, tmp_path / f"{l:g}").history["tip"]) / l
+
+    assert moved(length, time, E * stress, RHO * density) == pytest.approx(moved(), abs=1e-9)
+
+
+def test_a_moving_support_does_the_work(tmp_path):
+    pulled = [pd.Displacement("-x", x=0.0), pd.Displacement("+x", x=lambda x, t: np.full(len(x), 0.02 * t**2))]
+    for number, solver in enumerate((pd.Explicit(end=1.0), pd.Implicit(dt=2e-3, end=1.0))):
+        found = pd.run(
+            bar(solver, conditions=pulled, history={"error": pd.EnergyError(), "work": pd.ExternalWork()}),
+            tmp_path / str(number),
+        ).history
+        assert np.abs(found["error"]).max() < 1e-6
+        assert found["work"][-1] == pytest.approx(0.5 * E * 0.02**2, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: bar(pd.Explicit(end=1.0), law=pd.LinearElastic(E=E, nu=0.0)), "needs the density of each material"),
+        (lambda: bar(pd.Newton(), history={}), "InitialVelocity needs inertia"),
+        (
+            lambda: bar(pd.Newton(), conditions=[pd.Displacement("-x", x=0.0)]),
+            "KineticEnergy needs a motion with inertia",
+        ),
+        (lambda: pd.Implicit(dt=0.1, end=1.0, radius=1.2), "radius from 0 to 1"),
+        (lambda: pd.Implicit(dt=2.0, end=1.0), "at least 1 and at most"),
+        (lambda: pd.Implicit(dt=0.1, end=1.0, damping=-1.0), "takes a finite number >= 0 as damping"),
+        (lambda: pd.Explicit(end=1.0, safety=1.5), "takes a number between 0 and 1 as safety"),
+        (lambda: pd.InitialVelocity("-x", x=1.0, schedule=pd.Hold()), "has no schedule"),
+    ],
+)
+def test_what_cannot_move_is_refused(wrong, said, tmp_path):
+    with pytest.raises(pd.CaseError, match=said):
+        pd.run(wrong(), tmp_path)
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_a_step_beyond_the_stable_one_is_found_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "pdpetsc.solvers.dynamics.explicit.largest_frequency",
+        lambda *given, honest=stable_step.largest_frequency: honest(*given) / 1.5,
+    )
+    with pytest.raises(pd.SolveError, match="the motion is unstable"):
+        pd.run(bar(pd.Explicit(end=30 * PERIOD)), tmp_path)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
+    n = {1: 20, 2: 6, 3: 4}[dim]
+    case = pd.Case(
+        particles=pd.Lattice((0.0,) * dim, (1.0,) * dim, 1.0 / n),
+        material=pd.LinearElastic(E=E, nu=0.2, density=RHO),
+        solver=pd.Explicit(end=1.0),
+    )
+    prepared = pd.prepare(case)
+    problem, size = prepared.problem, prepared.cloud.n_owned * dim
+    state = problem.state(np.zeros((size // dim, dim)))
+    tangent = problem.linearised(state)
+    K = np.stack([tangent(row.reshape(-1, dim)).flatten() for row in np.eye(size)])
+    w = np.sqrt(scipy.linalg.eigh(K, np.diag(np.repeat(problem.inertia.mass, dim)), eigvals_only=True)[-1])
+    found = stable_step.largest_frequency(problem, problem.state(np.zeros((size // dim, dim))), problem.inertia.mass)
+    assert w * (1.0 - 1e-9) <= found <= w * (1.0 + 2e-3)

@@ -513,6 +513,44 @@ class CrackTip(Quantity):
 
 
 @dataclass(frozen=True)
+class CrackSpeed(CrackTip):
+    """Mean speed of a crack tip since the last record of a motion [length / time]; 0 until a crack grows.
+
+    It is the change of ``CrackTip`` over that of the time. The tip moves by whole particles: records should be some ten
+    spacings of advance apart. After a restart the first speed is 0.
+
+    Parameters
+    ----------
+    direction, damage, region
+        As for ``CrackTip``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> speed = pd.CrackSpeed((1.0, 0.0))
+    """
+
+    dimension = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # Place and time of the last record.
+        object.__setattr__(self, "_last", [])
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the speed."""
+        inertia_of(solution, self)
+        last: list[float] = vars(self)["_last"]
+        place, time = super().evaluate(solution), solution.state.clock.time
+        axis = np.asarray(self.direction, dtype=float)
+        along = solution.x @ (axis / np.linalg.norm(axis))
+        grown = bool(last) and time > last[1] and last[0] > -solution.largest(float((-along).max(initial=-np.inf)))
+        speed = (place - last[0]) / (time - last[1]) if grown else 0.0
+        last[:] = [place, time]
+        return speed
+
+
+@dataclass(frozen=True)
 class BrokenBonds(Quantity):
     """Number of broken bonds, each pair of particles counted once, without bonds cut by a pre-crack.
 

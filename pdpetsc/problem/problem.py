@@ -250,6 +250,11 @@ class Problem:
             self._last = None
         return Tangent(self.body, products)
 
+    def stiffest(self, state: State) -> Tangent:
+        """Return a tangent that bounds those near a state from above: all facets that may touch a tool do."""
+        _ = state.u_local
+        return Tangent(self.body, [product for term in self.terms for product in term.stiffest(state)])
+
     def energies(self, state: State) -> dict[str, float]:
         """Return the energies of the terms by name (``Term.energy_of``: ``strain``, ``control``, ...) [energy]."""
         names = dict.fromkeys(["strain", "control", *(term.energy_of for term in self.terms)])

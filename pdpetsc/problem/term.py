@@ -178,6 +178,10 @@ class Term(ABC):
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the tangent at a state as a list of summands; empty if the tangent is zero."""
 
+    def stiffest(self, state: State) -> Sequence[Product]:
+        """Return products that bound the tangent near a state from above, for stable time steps; by default it."""
+        return self.linearise(state)
+
     def energy(self, state: State) -> float:
         """Return the energy on this rank [energy]."""
         return 0.0

@@ -205,12 +205,20 @@ class ContactForces(Term):
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the blocks of the facets in contact."""
         touching = self._in_space(state)
-        rows = touching.rows
+        return [self._product(touching.rows, touching.blocks)]
+
+    def stiffest(self, state: State) -> Sequence[Product]:
+        """Return the blocks of all facets as if they were pressed and stuck."""
+        rows = np.arange(len(self._x))
+        return [self._product(rows, np.tile(self._c * np.eye(self.body.dim), (len(rows), 1, 1)))]
+
+    def _product(self, rows: GlobalIndex, stiffness: Float) -> ContactProduct:
+        """Return the tangent of facets with blocks (m, dim, dim) [stress / length]."""
         stencils = self._facets.stencils
         entry, ptr = entries_of(stencils.point_ptr, rows)
         facets = StencilMembers(stencils.owner[rows], ptr, stencils.members[entry])
-        blocks = self._area[rows, None, None] * touching.blocks
-        return [ContactProduct(facets, self.body.cloud.n_owned, self._facets.N[entry], blocks)]
+        blocks = self._area[rows, None, None] * stiffness
+        return ContactProduct(facets, self.body.cloud.n_owned, self._facets.N[entry], blocks)
 
     def energy(self, state: State) -> float:
         """Return ``sum_f |a_f| ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""

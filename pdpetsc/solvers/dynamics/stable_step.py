@@ -23,7 +23,7 @@ def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
     Parameters
     ----------
     problem : Problem
-        The problem, whose tangent at the state is applied.
+        The problem, whose stiffest tangent near the state is applied.
     mass : (n_owned,) float64
         Masses of the own particles.
 
@@ -35,7 +35,7 @@ def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
     n, dim = cloud.n_owned, cloud.dim
     free = ~problem.supports.fixed[:n]
     root = np.where(free, 1.0 / np.sqrt(mass)[:, None], 0.0)
-    tangent = problem.linearised(state)
+    tangent = problem.stiffest(state)
     padded = np.zeros((cloud.n_rows, dim))
 
     def apply(y: Float) -> Float:

@@ -376,7 +376,7 @@ class Explicit(DeclaredSolver):
     """Motion with inertia by central differences (velocity Verlet), without a matrix.
 
     The time step is ``safety`` times the stable one, ``2 / w`` with the largest frequency of the tangent, found by
-    Lanczos' method, again after every ``renewed`` steps. All materials have a ``density``; masses are lumped. Step
+    Lanczos' method, again as often as it changes, and never below that at the start. All materials have a ``density``; masses are lumped. Step
     times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run whose energy does not balance ends
     with an error. The steps of the case are not used.
 
@@ -390,8 +390,6 @@ class Explicit(DeclaredSolver):
         ``c`` of damping forces ``c M v`` [1 / time].
     records : int
         Number of records in history and files, at equal times.
-    renewed : int
-        Time steps between estimates of the stable one.
 
     References
     ----------
@@ -407,7 +405,6 @@ class Explicit(DeclaredSolver):
     safety: Fraction = 0.9
     damping: NonNegative = field(default=0.0, kw_only=True)
     records: Count = field(default=100, kw_only=True)
-    renewed: Count = field(default=500, kw_only=True)
 
     title = "Explicit dynamics"
     needs = Needs(tangent="none")

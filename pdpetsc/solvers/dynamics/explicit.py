@@ -12,7 +12,7 @@ from pdpetsc.declare.solvers import Explicit
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, printed
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 
@@ -22,10 +22,13 @@ ALL = 2**62
 CHECKED = 100
 # Step time of the first step, for the velocity of held components at the start.
 FIRST = 1e-6
-# Growth of the largest frequency from one estimate to the next that steps between them survive.
-STIFFER = 1.05
-# Names in a checkpoint: the largest frequency [1 / time], and the number of time steps so far.
-FREQUENCY, STEPS = "largest_frequency", "time_steps"
+# Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
+SECOND, LEAST, MOST_STEPS = 10, 5, 1000
+# The number of time steps between estimates is halved if the frequency grows more, doubled if it grows less.
+GROWS, RESTS = 0.02, 0.005
+# Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
+# estimates of the frequency, and until the next one.
+FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "time_steps", "interval", "due"
 
 
 class ExplicitSolver(Solver):
@@ -86,8 +89,12 @@ class ExplicitSolver(Solver):
         u = begin_motion(problem, start.u, first) if start.t == 0.0 else start.u
         balance = MotionBalance(problem, inertia, start.resume)
         state = problem.state(u, start.t)
-        largest = start.resume.get(FREQUENCY) or self._frequency(u, start.t)
-        self._steps = int(start.resume.get(STEPS, 0))
+        resume = start.resume or {FREQUENCY: self._frequency(u, start.t)}
+        largest, self._steps = resume[FREQUENCY], int(resume.get(STEPS, 0))
+        # A body that flows is stiffer where it unloads.
+        elastic = resume.get(ELASTIC, largest)
+        interval = int(resume.get(INTERVAL, SECOND))
+        due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         dt = self._stable(largest)
         balance.begin(state, *forces(problem, state), self._kinetic(dt))
         done = round(start.t * declared.records)
@@ -104,14 +111,14 @@ class ExplicitSolver(Solver):
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
                     )
-                if self._steps % declared.renewed == 0 and self._changes:
-                    now = self._frequency(u, at)
-                    if now > STIFFER * largest / declared.safety:
-                        raise SolveError(
-                            f"At step time {at:.6g} the body has become so stiff that the time step is beyond the "
-                            f"stable one; take a smaller safety, or renewed below {declared.renewed}."
-                        )
-                    largest, dt = now, self._stable(now)
+                if self._steps >= due:
+                    now = max(self._frequency(u, at), elastic)
+                    growth = now / largest - 1.0
+                    if growth > GROWS:
+                        interval = max(LEAST, interval // 2)
+                    elif growth < RESTS:
+                        interval = min(MOST_STEPS, 2 * interval)
+                    largest, dt, due = now, self._stable(now), self._steps + interval
             work = balance.step_work
             state = problem.state(u, target)
             inertia.error = balance.record(state, self._kinetic((target - t) * declared.end / count))
@@ -127,15 +134,20 @@ class ExplicitSolver(Solver):
                     f"energy that it was given; {self.advice}."
                 )
             result = StepResult(True, "end of the time steps", iterations=count)
-            resume = {**balance.resume, FREQUENCY: largest, STEPS: float(self._steps)}
+            resume = {**balance.resume, FREQUENCY: largest, ELASTIC: elastic}
+            resume |= {STEPS: float(self._steps), INTERVAL: float(interval), DUE: float(due)}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
 
     def line(self, number: int, converged: Converged) -> str | None:
-        """Return the printed line of a record."""
+        """Return the printed line of a record, None for most of many records."""
+        each = 1.0 / self._declared.records
+        if not printed(converged.t, each):
+            return None
         broken = f", {converged.broken} bonds broke" if converged.broken else ""
+        count = converged.result.iterations
         return (
-            f"step {number:4d}  t = {converged.t:<8.6g} {converged.result.iterations} time steps of "
-            f"{self._declared.end / self._declared.records / converged.result.iterations:.3g}, energy off by "
+            f"step {number:4d}  t = {converged.t:<8.6g} time {converged.t * self._declared.end:.4g}, "
+            f"{count} time step{'s' if count > 1 else ''} of {each * self._declared.end / count:.3g}, energy off by "
             f"{self._inertia.error:.1e}{broken}"
         )
 

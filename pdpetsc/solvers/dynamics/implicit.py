@@ -16,7 +16,7 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.inertia import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, printed
 from pdpetsc.solvers.load_steps import load_steps
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
@@ -41,6 +41,7 @@ class ImplicitSolver(StaticSolver):
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], declared: Implicit) -> None:
         super().__init__(problem, assembler, stop, Steps(math.ceil(declared.end / declared.dt * (1.0 - ROUNDED))))
         self._declared, self._inertia = declared, inertia_of(problem)
+        self._last = 0.0
         self._inertia.blend = Blend.of(declared.radius)
 
     @classmethod
@@ -83,6 +84,7 @@ class ImplicitSolver(StaticSolver):
         state = problem.state(u, start.t)
         self._begin_step(*(found := forces(problem, state)))
         balance.begin(state, *found, inertia.energy_of_free())
+        recorded = start.t
         number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
         for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
             state = problem.state(converged.u, converged.t)
@@ -95,7 +97,8 @@ class ImplicitSolver(StaticSolver):
             linear += converged.result.linear_iterations
             if number % self._declared.every and converged.t < 1.0 - ROUNDED:
                 continue
-            work = balance.step_work
+            work, self._last = balance.step_work, converged.t - recorded
+            recorded = converged.t
             inertia.error = balance.record(state, inertia.energy_of_free())
             self._refuse_unbalanced(inertia.error, converged.t)
             result = replace(converged.result, iterations=iterations, linear_iterations=linear)
@@ -104,6 +107,10 @@ class ImplicitSolver(StaticSolver):
                 converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
             )
             failures, broken, sweeps, iterations, linear = [], 0, 0, 0, 0
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return the printed line of a record, None for most of many records."""
+        return super().line(number, converged) if printed(converged.t, self._last) else None
 
     def _begin_step(self, internal: Float, external: Float) -> None:
         """Store the forces at the start of the next step."""

@@ -10,6 +10,17 @@ from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
+# Largest number of printed lines of a motion.
+LINES = 50
+
+
+def printed(t: float, step: float) -> bool:
+    """Return True if a record at step time ``t``, a step after the last one, has a line: ``LINES`` of a whole run do.
+
+    Not collective.
+    """
+    return int(t * LINES * (1.0 + 1e-9)) > int((t - step) * LINES * (1.0 + 1e-9))
+
 
 def forces(problem: Problem, state: State) -> tuple[Float, Float]:
     """Compute internal forces without inertia, and external forces (n_rows, dim) [force] (collective).

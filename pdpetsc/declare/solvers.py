@@ -376,9 +376,9 @@ class Explicit(DeclaredSolver):
     """Motion with inertia by central differences (velocity Verlet), without a matrix.
 
     The time step is ``safety`` times the stable one, ``2 / w`` with the largest frequency of the tangent, found by
-    Lanczos' method, again as often as it changes, and never below that at the start. All materials have a ``density``; masses are lumped. Step
-    times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run whose energy does not balance ends
-    with an error. The steps of the case are not used.
+    Lanczos' method, again as often as it changes, and never below that at the start. All materials have a ``density``;
+    masses are lumped. Step times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run whose energy
+    does not balance ends with an error. The steps of the case are not used.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ A bar of length 0.02 (E = 205e9, nu = 0, density 7850) moves at -0.1 m/s and is 
 of the speed ``c = sqrt(E / rho)`` runs through it: the stress at the wall is ``-rho c v = -4.012e6`` until ``2 L / c =
 7.827e-6``, then 0 for as long, and the free end moves at -0.1 and 0.1 m/s by turns of ``2 L / c``.
 
-``dim=1`` is a line, 3 a bar of 1 mm by 1 mm with ``n`` cells over 1 mm (20 ``n`` over its length). ``explicit=no`` takes
-generalised-alpha steps of ``dt`` cells over c.
+``dim=1`` is a line, 3 a bar of 1 mm by 1 mm with ``n`` cells over 1 mm, 20 ``n`` over its length. ``explicit=no``
+takes generalised-alpha steps of ``dt`` cells over c.
 
 Results: ``wall_stress``, the mean over the middle 80 % of the time in which the wave returns, ``wall_error``,
 ``end_error``, the root mean square of the error of the displacement of the free end over one period over its largest

@@ -55,7 +55,7 @@ def case(n=3, scheme="sub_horizons", horizon=2.1, safety=0.8):
         horizon=horizon * cloud.size,
         material=pd.J2(E=E, nu=NU, yield_stress=YIELD, hardening=HARDENING, density=DENSITY),
         scheme=pd.choose("scheme", scheme, known)(),
-        control=None if scheme == "sub_horizons" else pd.TangentScaled(0.5),
+        control=None if scheme == "sub_horizons" else pd.TangentScaled(pd.Silling(0.5)),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=1e-9), x=0.0),
             pd.Displacement(pd.region.Slab("y", high=1e-9), y=0.0),

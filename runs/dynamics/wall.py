@@ -1,8 +1,8 @@
 """Bar that hits a rigid wall and leaves it. Units m, N, kg, s.
 
 A bar of 0.2 by 0.02 by 0.02 (E = 2e11, nu = 0, density 8000) flies at 100 m/s towards a rigid plane 2 mm away. The wave
-of the speed ``c = sqrt(E / rho) = 5000`` presses it with ``rho c v = 4.0e9`` for ``2 L / c = 80e-6``, then the bar leaves
-at 100 m/s.
+of the speed ``c = sqrt(E / rho) = 5000`` presses it with ``rho c v = 4.0e9`` for ``2 L / c = 80e-6``, then the bar
+leaves at 100 m/s.
 
 ``n`` cells over 0.02, ``dim`` 1 or 3. Facets half a spacing outside of the particles touch.
 

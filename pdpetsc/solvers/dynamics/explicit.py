@@ -20,6 +20,8 @@ from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Star
 ALL = 2**62
 # Time steps between checks for signals.
 CHECKED = 100
+# Rounding of a number of time steps.
+ROUNDED = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
 FIRST = 1e-6
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
@@ -96,15 +98,15 @@ class ExplicitSolver(Solver):
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         dt = self._stable(largest)
-        balance.begin(state, *forces(problem, state), self._kinetic(dt))
+        balance.begin(state, *forces(problem, state), self._kinetic(self._each / self._count(dt)))
         done = round(start.t * declared.records)
         for record in range(done + 1, declared.records + 1):
             t, target = (record - 1) / declared.records, record / declared.records
-            count = max(1, math.ceil((target - t) * declared.end / dt * (1.0 - 1e-12)))
+            count = self._count(dt)
             broken = 0
             for number in range(1, count + 1):
                 at = target if number == count else t + (target - t) * number / count
-                u, failed = self._step(u, at, (target - t) * declared.end / count, balance)
+                u, failed = self._step(u, at, self._each / count, balance)
                 broken += failed
                 self._steps += 1
                 if self._steps % CHECKED == 0 and self._stop():
@@ -121,7 +123,7 @@ class ExplicitSolver(Solver):
                     largest, dt, due = now, self._stable(now), self._steps + interval
             work = balance.step_work
             state = problem.state(u, target)
-            inertia.error = balance.record(state, self._kinetic((target - t) * declared.end / count))
+            inertia.error = balance.record(state, self._kinetic(self._each / count))
             if not math.isfinite(inertia.error) or abs(inertia.error) > MOST:
                 raise SolveError(
                     f"At step time {target:.6g} the energy does not balance by {abs(inertia.error):.2g} of the largest "
@@ -155,6 +157,15 @@ class ExplicitSolver(Solver):
     def _changes(self) -> bool:
         """Return True if the largest frequency may change."""
         return not self._problem.linear or self._problem.damage is not None
+
+    @property
+    def _each(self) -> float:
+        """Return the time between records."""
+        return self._declared.end / self._declared.records
+
+    def _count(self, dt: float) -> int:
+        """Return the number of time steps of at most ``dt`` between records."""
+        return max(1, math.ceil(self._each / dt * (1.0 - ROUNDED)))
 
     def _frequency(self, u: Float, t: float) -> float:
         return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)

@@ -128,6 +128,13 @@ class FailingBonds:
         """Return the largest change of a degradation factor for driving variables x [-] (collective)."""
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
+    def fails(self, x: Float) -> bool:
+        """Return True if a bond loses force at driving variables x, by softening or by breaking (collective)."""
+        over = np.where(self.intact, x / self._final, 0.0)
+        breaks = float(over.max(initial=0.0)) >= 1.0 - TOGETHER
+        fades = self.laws.softens and bool(np.any(self.following(x)[0] < self.phi))
+        return largest(self._comm, float(breaks or fades)) > 0.0
+
     def soften(self, x: Float) -> float:
         """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
         T = self.following(x)[0]

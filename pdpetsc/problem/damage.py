@@ -308,6 +308,10 @@ class Damage(DamageModel):
         """Return the largest change of the degradation factor of a bond that a state would cause [-]."""
         return self.bonds.fading(self.driving_values(state))
 
+    def fails(self, state: State) -> bool:
+        """Return True if a bond loses force at a state."""
+        return self.bonds.fails(self.driving_values(state))
+
     def soften(self, state: State) -> float:
         """Accept the damage at a state; return the largest change of a degradation factor [-]."""
         return self.bonds.soften(self.driving_values(state))

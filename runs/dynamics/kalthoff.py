@@ -8,8 +8,8 @@ first with 70 degrees, in the mean 65.
 ``n`` particles over 0.1. ``model``: points (``PointDamage``; its ``strength`` is not part of the problem) or bonds
 (``Brittle``, nu = 1/4). ``dim=3``: a plate of 0.009 with the same half.
 
-Results: ``angle`` [degrees], of the principal axis of the failed particles above the notch, ``start``, the time at which
-the crack has grown by two horizons, ``speed`` of its tip, the mean until it is 0.03 above the notch, and
+Results: ``angle`` [degrees], of the principal axis of the failed particles above the notch, ``start``, the time at
+which the crack has grown by two horizons, ``speed`` of its tip, the mean until it is 0.03 above the notch, and
 ``energy_error``.
 """
 

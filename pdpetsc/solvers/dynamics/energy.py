@@ -15,8 +15,11 @@ from pdpetsc.problem.term import Term
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
-# Names in a checkpoint: energy at the start, energy lost by damping, and the largest energy so far [energy].
-START, DAMPED, LARGEST, WORK = "energy_at_start", "energy_damped", "largest_energy", "work_of_motion"
+# Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, and what failing bonds have
+# released [energy].
+START, DAMPED, LARGEST, WORK, LOST = (
+    "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds"
+)  # fmt: skip
 # Energies that belong to the work of tools on the body, not to the body.
 OF_TOOLS = ("contact",)
 
@@ -35,11 +38,13 @@ class MotionBalance:
         Its inertia.
     resume : mapping of str to float
         Numbers of a checkpoint; empty at the start of a run.
+    tells : bool
+        Whether the solver reports the energy that failing bonds release (``fail``).
 
     Attributes
     ----------
     known : bool
-        Whether all energies are known. They are not if bonds of a body with deformation gradients fail.
+        Whether all energies are known. They are not if bonds of a body with deformation gradients fail unreported.
     step_work : float
         Work since the last record [energy].
     amplified : float
@@ -50,14 +55,17 @@ class MotionBalance:
     Every method is collective.
     """
 
-    def __init__(self, problem: Problem, inertia: Inertia, resume: Mapping[str, float]) -> None:
+    def __init__(self, problem: Problem, inertia: Inertia, resume: Mapping[str, float], tells: bool) -> None:
         self._problem, self._inertia = problem, inertia
+        # Energy released by failing bonds; None if the laws of damage tell it.
+        self._lost = resume.get(LOST, 0.0) if tells and problem.bond_damage is not None else None
         self._outside = [
             term
             for term in problem.terms
             if not (term.load or term.of_solver) and (type(term).energy is Term.energy or term.energy_of in OF_TOOLS)
         ]
-        self.known = problem.damage is None or problem.material_term.dissipated_energy() is not None
+        by_laws = problem.damage is None or problem.material_term.dissipated_energy() is not None
+        self.known = by_laws or self._lost is not None
         self._begun = START in resume
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
@@ -67,7 +75,8 @@ class MotionBalance:
     @property
     def resume(self) -> dict[str, float]:
         """Return the numbers for a checkpoint (not collective)."""
-        return {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
+        numbers = {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
+        return numbers if self._lost is None else {**numbers, LOST: self._lost}
 
     def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
         """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
@@ -90,13 +99,23 @@ class MotionBalance:
         self._damped += lost
         self._u, self._force, self._resisted = state.u, force, resisted
 
+    def stored(self, state: State) -> float:
+        """Return the stored energy of the body [energy]."""
+        return self._held(state, 0.0)[0]
+
+    def fail(self, released: float, state: State, internal: Float, external: Float) -> None:
+        """Add energy that failing bonds have released at a displacement [energy], and continue with forces after it."""
+        assert self._lost is not None
+        self._lost += released
+        self._force = self._acting(state, internal, external)
+
     def record(self, state: State, kinetic: float) -> float:
         """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
         self.step_work = 0.0
         if not self.known:
             return 0.0
         stored, moving = self._held(state, kinetic)
-        lost = self._problem.material_term.dissipated_energy() or 0.0
+        lost = self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
         self._given = max(self._given, abs(self._at_start + self._work), lost + self._damped)
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0

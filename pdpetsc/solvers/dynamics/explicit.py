@@ -89,7 +89,7 @@ class ExplicitSolver(Solver):
         problem, inertia, declared = self._problem, self._inertia, self._declared
         first = FIRST / declared.records
         u = begin_motion(problem, start.u, first) if start.t == 0.0 else start.u
-        balance = MotionBalance(problem, inertia, start.resume)
+        balance = MotionBalance(problem, inertia, start.resume, tells=True)
         state = problem.state(u, start.t)
         resume = start.resume or {FREQUENCY: self._frequency(u, start.t)}
         largest, self._steps = resume[FREQUENCY], int(resume.get(STEPS, 0))
@@ -197,8 +197,19 @@ class ExplicitSolver(Solver):
             a, v = np.where(fixed[:n], 0.0, a), np.where(fixed[:n], mean, v)
         inertia.place(moved[:n], v, a, t)
         balance.move(state, internal, external, half)
-        broken = problem.break_bonds(state, ALL) if problem.damage is not None else 0
-        problem.commit(problem.state(moved, t) if broken else state)
+        damage = problem.bond_damage
+        if damage is None or not damage.fails(state):
+            problem.commit(state)
+            return moved, 0
+        # The second half of the kick at this time is that of the forces after the failure.
+        before = balance.stored(state)
+        broken = problem.break_bonds(state, ALL)
+        problem.commit(problem.state(moved, t))
+        after = problem.state(moved, t)
+        internal, external = forces(problem, after)
+        balance.fail(before - balance.stored(after), after, internal, external)
+        a = np.where(fixed[:n], 0.0, (external - internal)[:n] / m - inertia.damping * half)
+        inertia.place(moved[:n], v, a, t)
         return moved, broken
 
     @property

@@ -80,7 +80,7 @@ class ImplicitSolver(StaticSolver):
         """Yield the recorded steps (collective)."""
         problem, inertia = self.problem, self._inertia
         u = begin_motion(problem, start.u, self.steps.first) if start.t == 0.0 else start.u
-        balance = MotionBalance(problem, inertia, start.resume)
+        balance = MotionBalance(problem, inertia, start.resume, tells=False)
         state = problem.state(u, start.t)
         self._begin_step(*(found := forces(problem, state)))
         balance.begin(state, *found, inertia.energy_of_free())

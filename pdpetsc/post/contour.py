@@ -360,7 +360,7 @@ def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
     Tractions on the faces must be uniform along the crack. Their contribution is integrated by parts: it requires only
     the jump of the displacement far from the tip, not its gradient at the tip. Equal on all ranks. Collective.
     """
-    force, found = loads(solution), np.zeros(5)
+    force, found = _applied(solution), np.zeros(5)
     waves, cloud = np.zeros((2, 2, 2)), solution.cloud
     for frame in domain.frames:
         at, f = frame.at(solution.x), force @ frame.turn.T
@@ -384,13 +384,26 @@ def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
         if near * away > MIXED * far * beside:
             return False, "holds tractions on the faces of the crack and body forces as well; take one of both"
         return False, ""
+    if solution.problem.inertia is not None:  # a body force
+        return False, "holds tractions on the faces of a crack in a motion; take smaller radii" if near > 0.0 else ""
     if np.abs(waves[0] - waves[1]).max() > UNIFORM * np.abs(waves).max():
         return True, "holds tractions on the faces of the crack that change along it; take smaller radii"
     return True, ""
 
 
 def loads(solution: Solution) -> Float:
-    """Return the forces of loads on the owned particles (n_owned, dim) [force] (collective)."""
+    """Return the forces of loads on the owned particles, in a motion less inertia (n_owned, dim) [force] (collective).
+
+    The terms of the kinetic energy T in the integrals of Nakamura1985 are ``- int (q T),1 dA``, which is zero for a
+    uniform density and straight faces.
+    """
+    inertia = solution.problem.inertia
+    force = _applied(solution)
+    return force if inertia is None else force - inertia.inertial(solution.state)
+
+
+def _applied(solution: Solution) -> Float:
+    """Return the forces of loads without inertia (n_owned, dim) [force] (collective)."""
     state = solution.state
     return state.kept("loads", lambda: solution.problem.external_force(state)[: len(solution.x)])
 

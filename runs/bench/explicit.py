@@ -1,11 +1,12 @@
 """Time steps of particles that a core takes in a second: python runs/bench/explicit.py [n=48] [steps=40].
 
-Dynamic relaxation of a cube of n^3 particles at horizon 3.015, whose time step is that of an explicit code with damping
-and two sums: internal forces, update, sums. Printed are particles times steps over the seconds of a run of some steps
-less that of half as many, medians of three. Where ``lmp`` of LAMMPS is on the path and has the package PERI, its
+A free cube of n^3 particles at horizon 3.015 moves by central differences, with its energy balance. Printed are
+particles times steps over the seconds between two records, medians of three, and the time step over that of the formula
+for bonds, ``sqrt(2 rho / sum_j V_j c / |xi_j|)``. Where ``lmp`` of LAMMPS is on the path and has the package PERI, its
 prototype microelastic brittle and linear peridynamic solids run beside, on the same lattice with the same neighbours.
 """
 
+import dataclasses
 import os
 import re
 import shutil
@@ -25,9 +26,7 @@ import numpy as np  # noqa: E402
 from kernels import BODIES  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import world  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_families, make_problem  # noqa: E402
-from pdpetsc.solvers.relaxation import RelaxationSolver  # noqa: E402
+from pdpetsc.solvers.dynamics.stable_step import largest_frequency  # noqa: E402
 
 REPEATS = 3
 LAMMPS = """
@@ -58,31 +57,37 @@ STYLES = {
 }
 
 
-def relaxation(n, steps, body):
-    """Return the particle-steps a second of dynamic relaxation."""
+def motion(n, steps, body):
+    """Return the particle-steps a second of central differences, and the stable time step over that of the formula."""
     side = float(n)
-    case = pd.Case(
-        particles=pd.Lattice([0.0] * 3, [side] * 3, 1.0),
-        horizon=3.015,
-        conditions=[
-            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0, z=0.0),
-            pd.Displacement(pd.region.Slab("x", low=side - 1.0), x=0.01 * side),
-        ],
-        **body,
-    )
-    cloud = make_cloud(world(), case)
-    problem = make_problem(case, cloud, make_families(case, cloud))
+    law = dataclasses.replace(body["material"], density=1.0)
 
-    def spent(most):
-        declared = pd.DynamicRelaxation(tolerance=1e-14, most=most)
-        solver = RelaxationSolver(problem, declared, pd.Steps(1), lambda: False)
+    def case(end):
+        return pd.Case(
+            particles=pd.Lattice([0.0] * 3, [side] * 3, 1.0),
+            horizon=3.015,
+            conditions=[pd.InitialVelocity(pd.region.All(), x=lambda x, t: 1e-6 * x[:, 0])],
+            solver=pd.Explicit(end=end, records=2),
+            **{**body, "material": law},
+        )
+
+    prepared = pd.prepare(case(1.0))
+    w = largest_frequency(prepared.problem, prepared.problem.state(np.zeros((n**3, 3))), prepared.problem.inertia.mass)
+    found = []
+    prepared = pd.prepare(case(2.0 * steps * 0.9 * 2.0 / w))
+    for _ in range(REPEATS):
+        solver = prepared.make_solver()
+        march = prepared.march(solver)
+        next(march)
         before = time.perf_counter()
-        solver.solve(np.zeros((problem.body.cloud.n_rows, 3)), 1.0)
-        return time.perf_counter() - before
-
-    spent(2)
-    # The estimate of the time step and the first forces are in both.
-    return statistics.median(n**3 * (steps - steps // 2) / (spent(steps) - spent(steps // 2)) for _ in range(REPEATS))
+        found.append(n**3 * next(march).result.iterations / (time.perf_counter() - before))
+        solver.destroy()
+    xi = np.stack(np.meshgrid(*[np.arange(-3, 4)] * 3), axis=-1).reshape(-1, 3)
+    length = np.linalg.norm(xi, axis=1)
+    length = length[(length > 0.0) & (length <= 3.015)]
+    # c of a solid of E = 1 and nu = 1/4: 18 K / (pi horizon^4).
+    formula = np.sqrt(2.0 / (18.0 * (2.0 / 3.0) / (np.pi * 3.015**4) / length).sum())
+    return statistics.median(found), 2.0 / w / formula
 
 
 def lammps(n, steps, style):
@@ -109,7 +114,8 @@ def lammps(n, steps, style):
 def main():
     given = {"n": 48, "steps": 40} | {name: int(value) for name, value in (word.split("=") for word in words)}
     for name, body in BODIES.items():
-        print(f"{name:36} {relaxation(given['n'], given['steps'], body) / 1e6:6.2f} million particle-steps a second")
+        speed, step = motion(given["n"], given["steps"], body)
+        print(f"{name:36} {speed / 1e6:6.2f} million particle-steps a second, time step {step:.2f} of the formula")
     for name, style in STYLES.items():
         speed = lammps(given["n"], given["steps"], style)
         print(f"{name:36} {'not installed' if speed is None else f'{speed / 1e6:6.2f}'}")

@@ -8,7 +8,8 @@ strain). In the experiment the beam fails from the notch up to gamma = 0.77, bey
 of the problem and decides how easily midspan fails, which has no notch.
 
 Results: ``from_notch``, the height of the crack that has grown from the notch over that of the beam, up to 0.35,
-``from_middle``, that of a crack from the lower edge at midspan, up to 0.6, ``fails_at_notch`` 1 or 0, and ``energy_error``.
+``from_middle``, that of a crack from the lower edge at midspan, up to 0.6, ``fails_at_notch`` 1 or 0, and
+``energy_error``.
 """
 
 from dataclasses import dataclass

@@ -28,6 +28,7 @@ FOLDERS = {
     "localisation": "Where damage localises: periodic cells, event by event",
     "contact": "Contact with rigid tools",
     "stability": "Natural frequencies and buckling loads",
+    "dynamics": "Motion with inertia: waves, impact, dynamic fracture",
     "own": "A material and a force of one's own",
     "dog_bone": "A body from a mesh",
     "bench": "Timings, memory, scaling: `python runs/bench/all.py --quick`",

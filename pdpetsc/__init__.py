@@ -50,6 +50,7 @@ from pdpetsc.declare.conditions import (
     Traction,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
+from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
@@ -153,6 +154,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "SOLVERS",
+    "AbsorbingBoundary",
     "AdaptiveSteps",
     "ArcLength",
     "Arrays",
@@ -249,6 +251,7 @@ __all__ = [
     "Product",
     "Quantity",
     "Ramp",
+    "RayleighDamping",
     "Reaction",
     "ReactionMoment",
     "Refinement",

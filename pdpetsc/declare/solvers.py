@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.steps import MOST_STEPS
-from pdpetsc.declared import Count, Declared, Fraction, Natural, NonNegative, Positive
+from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
 from pdpetsc.errors import CaseError
 
 
@@ -332,8 +332,6 @@ class Implicit(DeclaredSolver):
     radius : float
         Spectral radius at infinite frequency [-]: 1 conserves the energy of a linear body, less damps waves that the
         time step does not resolve.
-    damping : float
-        ``c`` of damping forces ``c M v`` [1 / time].
     every : int
         Time steps between records in history and files.
 
@@ -350,7 +348,6 @@ class Implicit(DeclaredSolver):
     dt: Positive
     end: Positive
     radius: float = 1.0
-    damping: NonNegative = field(default=0.0, kw_only=True)
     every: Count = field(default=1, kw_only=True)
 
     title = "Implicit dynamics"
@@ -386,8 +383,6 @@ class Explicit(DeclaredSolver):
         Time at the end [time].
     safety : float
         Time step over the stable one [-].
-    damping : float
-        ``c`` of damping forces ``c M v`` [1 / time].
     records : int
         Number of records in history and files, at equal times.
 
@@ -403,7 +398,6 @@ class Explicit(DeclaredSolver):
 
     end: Positive
     safety: Fraction = 0.9
-    damping: NonNegative = field(default=0.0, kw_only=True)
     records: Count = field(default=100, kw_only=True)
 
     title = "Explicit dynamics"

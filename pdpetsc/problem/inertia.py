@@ -47,7 +47,7 @@ class Blend:
 
 
 class Inertia(Term):
-    """Add ``(M ((1 - alpha_m) a + alpha_m a_0) + alpha_f s_0) / (1 - alpha_f)`` to the residual, and damping ``c M v``.
+    """Add ``(M ((1 - alpha_m) a + alpha_m a_0) + alpha_f s_0) / (1 - alpha_f)`` to the residual, and damping ``C v``.
 
     Index 0 is the last converged step, ``s_0`` the sum of all other forces and of damping there. The residual is that
     of a generalised-alpha step over ``1 - alpha_f``. Its forces are those of the end of the step and of the start, so
@@ -63,14 +63,14 @@ class Inertia(Term):
         Masses of the own particles [mass].
     velocity : (n_owned, dim) float64
         Initial velocities [length / time].
-    damping : float
-        ``c`` [1 / time].
+    damper : (n_owned, dim, dim) float64, optional
+        ``C`` of each own particle [force time / length].
     duration : float
         Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
-    mass : (n_owned,) float64
+    mass, damper
         As above.
     u, v, a : (n_owned, dim) float64
         Displacement [length], velocity and acceleration of the last converged step.
@@ -78,6 +78,8 @@ class Inertia(Term):
         ``s_0``, 0 for held components [force]; set by the solver.
     blend : Blend
         Constants of the step; set by the solver.
+    damping_time : float
+        Factor of the stiffness in the damping of explicit steps [time].
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
 
@@ -89,14 +91,14 @@ class Inertia(Term):
     of_solver = True
     energy_of = "kinetic"
 
-    def __init__(self, body: Body, mass: Float, velocity: Float, damping: float, duration: float) -> None:
-        self._body, self.mass, self.damping, self._duration = body, mass, damping, duration
+    def __init__(self, body: Body, mass: Float, velocity: Float, damper: Float | None, duration: float) -> None:
+        self._body, self.mass, self.damper, self._duration = body, mass, damper, duration
         n, dim = body.cloud.n_owned, body.dim
         self.u, self.v, self.a = np.zeros((n, dim)), velocity.copy(), np.zeros((n, dim))
         self.blend = Blend.of(1.0)
         self._free = np.ones((n, dim), dtype=bool)
         self._t, self._dt = 0.0, 0.0
-        self.error = 0.0
+        self.error, self.damping_time = 0.0, 0.0
         self.begin = np.zeros((n, dim))
 
     @property
@@ -142,7 +144,31 @@ class Inertia(Term):
 
     def damped(self, velocity: Float) -> Float:
         """Return the forces of damping of the free components (n_owned, dim) [force] (not collective)."""
-        return np.where(self._free, self.damping * self.mass[:, None] * velocity, 0.0)
+        if self.damper is None:
+            return np.zeros_like(velocity)
+        return np.where(self._free, np.einsum("nij,nj->ni", self.damper, velocity), 0.0)
+
+    def accelerated_by(self, force: Float, half: Float, dt: float) -> Float:
+        """Return the acceleration a of ``M a + C (v_1/2 + dt a / 2) = f`` of the free components (n_owned, dim).
+
+        Parameters
+        ----------
+        force, half : (n_owned, dim) float64
+            f [force], and velocities half a step before [length / time].
+        dt : float
+            Time step [time].
+
+        Notes
+        -----
+        Not collective.
+        """
+        if self.damper is None:
+            a = force / self.mass[:, None]
+        else:
+            rest = force - np.einsum("nij,nj->ni", self.damper, half)
+            blocks = self.mass[:, None, None] * np.eye(self._body.dim) + 0.5 * dt * self.damper
+            a = np.linalg.solve(blocks, rest[:, :, None])[:, :, 0]
+        return np.where(self._free, a, 0.0)
 
     def add_row_force(self, state: State, r: Float) -> None:
         """Add inertia and damping."""
@@ -152,13 +178,15 @@ class Inertia(Term):
         r[: len(self.u)] += np.where(self._free, force / (1.0 - blend.alpha_f), 0.0) + self.damped(v)
 
     def linearise(self, state: State) -> Sequence[Product]:
-        """Return ``M ((1 - alpha_m) / ((1 - alpha_f) beta dt^2) + c gamma / (beta dt))``."""
+        """Return ``M (1 - alpha_m) / ((1 - alpha_f) beta dt^2) + C gamma / (beta dt)``."""
         blend, dt = self.blend, (state.t - self._t) * self._duration
         if dt <= 0.0:
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
-        rate += self.damping * blend.gamma / (blend.beta * dt)
-        return [PointBlocks((rate * self.mass)[:, None, None] * np.eye(self._body.dim))]
+        blocks = (rate * self.mass)[:, None, None] * np.eye(self._body.dim)
+        if self.damper is not None:
+            blocks += blend.gamma / (blend.beta * dt) * self.damper
+        return [PointBlocks(blocks)]
 
     def energy(self, state: State) -> float:
         """Return the kinetic energy of this rank [energy] (not collective)."""

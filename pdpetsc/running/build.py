@@ -22,6 +22,7 @@ from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
+from pdpetsc.declare.solvers import Implicit
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
@@ -62,7 +63,7 @@ from pdpetsc.problem.term import Term
 from pdpetsc.solvers.heat_steps import HeatSteps
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
-from pdpetsc.terms.conditions import apply
+from pdpetsc.terms.conditions import Applied, apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.degraded_patches import failing_points
@@ -342,36 +343,63 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     for one in conduction:
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
     if case.solver.duration is not None:
-        problem.inertia = _inertia(case, problem, materials, applied.velocity)
+        problem.inertia = _inertia(case, problem, materials, applied)
         problem.terms.append(problem.inertia)
         return problem
-    if applied.velocity is not None:
-        raise CaseError("InitialVelocity needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
+    if applied.moves:
+        raise CaseError(f"{applied.moves} needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
     if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem
 
 
-def _inertia(case: Case, problem: Problem, materials: OfParticles, velocity: Float | None) -> Inertia:
+def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Applied) -> Inertia:
     """Return the inertia of a body; raise CaseError on all ranks if it cannot move (collective)."""
-    cloud, density = problem.body.cloud, materials.density
+    cloud, density, title = problem.body.cloud, materials.density, case.solver.title
     if density is None:
         lacking = next(one for one in materials.materials if one.density is None)
-        raise CaseError(
-            f"{case.solver.title} needs the density of each material, and {type(lacking).__name__} has none. Give "
-            "density=..."
-        )
+        raise CaseError(f"{title} needs the density of each material, and {type(lacking).__name__} has none. Give it.")
     if case.heat is not None or problem.supports.ties is not None or not problem.supports.fixed[cloud.n_owned :].all():
         raise CaseError(
-            f"{case.solver.title} does not go with heat conduction, PointSupport or a cell of unknown strain. Use "
-            "Newton."
+            f"{title} does not go with heat conduction, PointSupport or a cell of unknown strain. Use Newton."
         )
-    n = cloud.n_owned
-    start = np.zeros((n, cloud.dim)) if velocity is None else velocity
-    damping = float(getattr(case.solver, "damping", 0.0))
-    found = Inertia(problem.body, density * cloud.volume[:n], start, damping, case.duration)
+    if applied.damping_time and isinstance(case.solver, Implicit):
+        raise CaseError(
+            "Implicit damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out."
+        )
+    n, damper = cloud.n_owned, None
+    mass = density * cloud.volume[:n]
+    start = np.zeros((n, cloud.dim)) if applied.velocity is None else applied.velocity
+    if applied.damping_rate is not None or applied.absorbing is not None:
+        rate = np.zeros(n) if applied.damping_rate is None else applied.damping_rate
+        damper = (rate * mass)[:, None, None] * np.eye(cloud.dim)
+        if applied.absorbing is not None:
+            damper += _dashpots(problem.body, materials, density, applied.absorbing)
+    found = Inertia(problem.body, mass, start, damper, case.duration)
     found.hold(problem.supports.fixed)
+    found.damping_time = applied.damping_time
+    return found
+
+
+def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) -> Float:
+    """Return ``sum_f |a_f| sqrt(rho Q(n_f))`` of each own particle (n_owned, dim, dim) [force time / length].
+
+    ``Q_ik = A_imkn n_m n_n`` is the acoustic tensor of the undeformed material (not collective).
+    """
+    surface, dim = body.surface, body.dim
+    assert surface is not None
+    area, owner = surface.area[mask], surface.owner[mask]
+    size = np.linalg.norm(area, axis=1)
+    normal = area / size[:, None]
+    laws = [one.elastic(dim) if isinstance(one, BondMaterial) else one for one in materials.materials]
+    A = np.stack([law.moduli(dim) for law in laws])[materials.index[owner]]
+    factor = np.ones(len(density)) if materials.factor is None else materials.factor
+    Q = (factor * density)[owner, None, None] * np.einsum("fimkn,fm,fn->fik", A, normal, normal)
+    squares, axes = np.linalg.eigh(Q)
+    dashpots = np.einsum("fij,fj,fkj->fik", axes, np.sqrt(np.maximum(squares, 0.0)), axes)
+    found = np.zeros((len(density), dim, dim))
+    np.add.at(found, owner, size[:, None, None] * dashpots)
     return found
 
 

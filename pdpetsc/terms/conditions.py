@@ -23,6 +23,7 @@ from pdpetsc.declare.conditions import (
     VectorCondition,
     condition_name,
 )
+from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.supports import PointSupport
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
@@ -80,6 +81,10 @@ class Applied:
         self._density = density
         # Initial velocities of the own particles, None for a body at rest.
         self.velocity: Float | None = None
+        # Damping of a motion: rate of each own particle, stiffness of the body, and facets that absorb.
+        self.damping_rate: Float | None = None
+        self.damping_time = 0.0
+        self.absorbing: Mask | None = None
         self._contacts: list[Contact] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
@@ -108,6 +113,29 @@ class Applied:
             for axis, value in components:
                 found = value if callable(value) else (lambda x, t, value=value: np.full(len(x), value))
                 self.velocity[own, axis] = condition.value(found, cloud.x[own], 0.0)
+
+    def rayleigh_damping(self, condition: RayleighDamping, name: str) -> None:
+        """Add damping."""
+        mask = select(self.body.cloud, condition.region, name)
+        rate = np.zeros(len(mask)) if self.damping_rate is None else self.damping_rate
+        self.damping_rate = rate + condition.mass * mask
+        self.damping_time += condition.stiffness
+
+    def absorbing_boundary(self, condition: AbsorbingBoundary, name: str) -> None:
+        """Add dashpots on facets."""
+        surface = self.body.surface
+        assert surface is not None
+        mask = surface.select(self.body.cloud, condition.region, name)
+        self.absorbing = mask if self.absorbing is None else mask | self.absorbing
+
+    @property
+    def moves(self) -> str:
+        """Return the name of a condition that only a motion has; empty if there is none (not collective)."""
+        if self.velocity is not None:
+            return "InitialVelocity"
+        if self.damping_rate is not None:
+            return "RayleighDamping"
+        return "" if self.absorbing is None else "AbsorbingBoundary"
 
     def mean_displacement(self, condition: PointSupport, name: str) -> None:
         """Prescribe the mean displacement of a patch: one of its particles is tied to the others."""

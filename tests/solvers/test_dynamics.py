@@ -98,9 +98,12 @@ def test_energy_is_constant_or_is_damped_as_declared(tmp_path):
     short = pd.run(bar(pd.Implicit(dt=PERIOD / 20, end=3 * PERIOD, radius=0.5)), tmp_path / "short").history
     assert -0.05 < short["error"][-1] < -1e-4
     for number, solver in enumerate(
-        (pd.Implicit(dt=PERIOD / 100, end=PERIOD, damping=2.0), pd.Explicit(end=PERIOD, damping=2.0))
+        (pd.Implicit(dt=PERIOD / 100, end=PERIOD), pd.Explicit(end=PERIOD), pd.Explicit(end=PERIOD))
     ):
-        damped = pd.run(bar(solver), tmp_path / f"damped{number}").history
+        damping = pd.RayleighDamping(stiffness=0.02) if number == 2 else pd.RayleighDamping(mass=2.0)
+        case = bar(solver)
+        case = dataclasses.replace(case, conditions=[*case.conditions, damping])
+        damped = pd.run(case, tmp_path / f"damped{number}").history
         assert np.abs(damped["error"]).max() < 1e-3
         assert damped["kinetic"][-1] < 0.6 * damped["kinetic"][0]
 
@@ -238,7 +241,16 @@ def test_a_moving_support_does_the_work(tmp_path):
         ),
         (lambda: pd.Implicit(dt=0.1, end=1.0, radius=1.2), "radius from 0 to 1"),
         (lambda: pd.Implicit(dt=2.0, end=1.0), "at least 1 and at most"),
-        (lambda: pd.Implicit(dt=0.1, end=1.0, damping=-1.0), "takes a finite number >= 0 as damping"),
+        (lambda: pd.RayleighDamping(mass=-1.0), "takes a finite number >= 0 as mass"),
+        (lambda: pd.RayleighDamping(), "takes a positive mass or stiffness"),
+        (
+            lambda: bar(pd.Implicit(dt=0.1, end=1.0), conditions=[pd.RayleighDamping(stiffness=1.0)]),
+            "damps short waves by its radius",
+        ),
+        (
+            lambda: bar(pd.Newton(), history={}, conditions=[pd.AbsorbingBoundary("-x")]),
+            "AbsorbingBoundary needs inertia",
+        ),
         (lambda: pd.Explicit(end=1.0, safety=1.5), "takes a number between 0 and 1 as safety"),
         (lambda: pd.InitialVelocity("-x", x=1.0, schedule=pd.Hold()), "has no schedule"),
     ],
@@ -274,3 +286,34 @@ def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
     w = np.sqrt(scipy.linalg.eigh(K, np.diag(np.repeat(problem.inertia.mass, dim)), eigvals_only=True)[-1])
     found = stable_step.largest_frequency(problem, problem.state(np.zeros((size // dim, dim))), problem.inertia.mass)
     assert w * (1.0 - 1e-9) <= found <= w * (1.0 + 2e-3)
+
+
+@pytest.mark.parametrize("explicit", [True, False])
+@pytest.mark.parametrize("dim", [1, 2])
+def test_a_wave_leaves_through_an_absorbing_boundary(explicit, dim, tmp_path):
+    """A smooth pulse runs to the right; of its energy less than one in a thousand comes back."""
+    n, high = 80, (1.0, 0.1)[:dim]
+    solid = pd.LinearElastic(E=E, nu=0.3, density=RHO)
+    speed = np.sqrt(solid.moduli(dim)[(0,) * 4] / RHO)
+
+    def pulse(x, t):
+        return speed * np.where(np.abs(x[:, 0] - 0.5) < 0.2, 1e-3 * np.sin(np.pi * (x[:, 0] - 0.3) / 0.2) ** 2, 0.0)
+
+    end = 1.5 / speed
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0,) * dim, high, 1.0 / n),
+        material=solid,
+        conditions=[
+            pd.InitialVelocity(region.All(), x=pulse),
+            pd.AbsorbingBoundary("+x"),
+            pd.AbsorbingBoundary("-x"),
+            *([pd.Displacement(region.All(), y=0.0)] if dim == 2 else []),
+        ],
+        solver=pd.Explicit(end=end) if explicit else pd.Implicit(dt=end / 400, end=end),
+        history={"kinetic": pd.KineticEnergy(), "strain": pd.StrainEnergy(), "error": pd.EnergyError()},
+        fields=[],
+    )
+    history = pd.run(case, tmp_path).history
+    left = (history["kinetic"][-1] + history["strain"][-1]) / history["kinetic"][0]
+    assert left < 1e-3
+    assert np.abs(history["error"]).max() < 1e-3

@@ -87,9 +87,11 @@ class MotionBalance:
             self._at_start, self._largest = stored + moving, max(abs(stored), moving)
         self._begun = True
 
-    def move(self, state: State, internal: Float, external: Float, velocity: Float) -> None:
-        """Add the work of the step to a state, with the velocity (n_owned, dim) that damping takes."""
-        force, resisted = self._acting(state, internal, external), self._inertia.damped(velocity)
+    def move(self, state: State, internal: Float, external: Float, viscous: Float | None = None) -> None:
+        """Add the work of the step to a state, with the forces of viscous damping (n_owned, dim), if any."""
+        force, resisted = self._acting(state, internal, external), self._inertia.damped(self._inertia.v)
+        if viscous is not None:
+            resisted += viscous
         moved = state.u - self._u
         work = 0.5 * float(((force + self._force) * moved).sum())
         lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())

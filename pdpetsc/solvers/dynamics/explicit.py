@@ -9,8 +9,9 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import Explicit
+from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
 from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, printed
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
@@ -34,10 +35,10 @@ FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "t
 
 
 class ExplicitSolver(Solver):
-    """Integrate ``M a + c M v + f_int = f_ext`` by velocity Verlet steps.
+    """Integrate ``M a + C v + c K_0 v + f_int = f_ext`` by velocity Verlet steps.
 
-    ``v_1/2 = v + dt a / 2``, ``u + dt v_1/2``, ``v_1/2 + dt a / 2``; damping takes ``v_1/2``. Damage and histories are
-    updated at the end of every step.
+    ``v_1/2 = v + dt a / 2``, ``u + dt v_1/2``, ``v_1/2 + dt a / 2``. The force of ``C`` takes the velocity at the end
+    of the step, that of ``K_0`` takes ``v_1/2``. Damage and histories are updated at the end of every step.
 
     Parameters
     ----------
@@ -60,6 +61,9 @@ class ExplicitSolver(Solver):
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
         self._steps = 0
+        self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
+        # Tangent of the undeformed body, for damping proportional to it.
+        self._resistance: Tangent | None = None
 
     @classmethod
     def make(cls, setting: Setting) -> ExplicitSolver:
@@ -91,10 +95,14 @@ class ExplicitSolver(Solver):
         u = begin_motion(problem, start.u, first) if start.t == 0.0 else start.u
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
         state = problem.state(u, start.t)
+        if inertia.damping_time > 0.0:
+            rest = problem.state(np.zeros_like(u), 0.0)
+            elastic = [term for term in problem.terms if term.energy_of in ("strain", "control")]
+            self._resistance = Tangent(problem.body, [one for term in elastic for one in term.linearise(rest)])
         resume = start.resume or {FREQUENCY: self._frequency(u, start.t)}
         largest, self._steps = resume[FREQUENCY], int(resume.get(STEPS, 0))
         # A body that flows is stiffer where it unloads.
-        elastic = resume.get(ELASTIC, largest)
+        least = resume.get(ELASTIC, largest)
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         dt = self._stable(largest)
@@ -114,7 +122,7 @@ class ExplicitSolver(Solver):
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
                     )
                 if self._steps >= due:
-                    now = max(self._frequency(u, at), elastic)
+                    now = max(self._frequency(u, at), least)
                     growth = now / largest - 1.0
                     if growth > GROWS:
                         interval = max(LEAST, interval // 2)
@@ -136,7 +144,7 @@ class ExplicitSolver(Solver):
                     f"energy that it was given; {self.advice}."
                 )
             result = StepResult(True, "end of the time steps", iterations=count)
-            resume = {**balance.resume, FREQUENCY: largest, ELASTIC: elastic}
+            resume = {**balance.resume, FREQUENCY: largest, ELASTIC: least}
             resume |= {STEPS: float(self._steps), INTERVAL: float(interval), DUE: float(due)}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
 
@@ -171,8 +179,11 @@ class ExplicitSolver(Solver):
         return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)
 
     def _stable(self, frequency: float) -> float:
-        """Return the time step for a largest frequency."""
-        return self._declared.safety * 2.0 / frequency if frequency > 0.0 else self._declared.end
+        """Return the time step for a largest frequency, with the damping ratio of its mode."""
+        if frequency == 0.0:
+            return self._declared.end
+        ratio = 0.5 * self._inertia.damping_time * frequency
+        return self._declared.safety * 2.0 / frequency * (math.sqrt(1.0 + ratio**2) - ratio)
 
     def _kinetic(self, dt: float) -> float:
         """Return ``m v_-1/2 v_1/2 / 2`` of the free components on this rank, which a linear motion conserves."""
@@ -182,36 +193,43 @@ class ExplicitSolver(Solver):
     def _step(self, u: Float, t: float, dt: float, balance: MotionBalance) -> tuple[Float, int]:
         """Move by one time step to load parameter ``t``; return the unknowns and the number of bonds that broke."""
         problem, inertia, fixed = self._problem, self._inertia, self._problem.supports.fixed
-        n, m = len(inertia.mass), inertia.mass[:, None]
+        n, held = len(inertia.mass), fixed[: len(inertia.mass)]
         half = inertia.v + 0.5 * dt * inertia.a
         moved = u.copy()
         moved[:n] += dt * half
         if self._held:
             moved = np.where(fixed, problem.supports.prescribed(t), moved)
+            half = np.where(held, (moved[:n] - u[:n]) / dt, half)
+        viscous = self._viscous(half)
+
+        def place(internal: Float, external: Float) -> None:
+            a = inertia.accelerated_by((external - internal)[:n] - viscous, half, dt)
+            inertia.place(moved[:n], half + 0.5 * dt * a, a, t)
+
         state = problem.state(moved, t)
-        internal, external = forces(problem, state)
-        a = (external - internal)[:n] / m - inertia.damping * half
-        v = half + 0.5 * dt * a
-        if self._held:
-            mean = (moved[:n] - u[:n]) / dt
-            a, v = np.where(fixed[:n], 0.0, a), np.where(fixed[:n], mean, v)
-        inertia.place(moved[:n], v, a, t)
-        balance.move(state, internal, external, half)
+        acting = forces(problem, state)
+        place(*acting)
+        balance.move(state, *acting, viscous)
         damage = problem.bond_damage
         if damage is None or not damage.fails(state):
             problem.commit(state)
             return moved, 0
         # The second half of the kick at this time is that of the forces after the failure.
-        before = balance.stored(state)
+        before, v = balance.stored(state), inertia.v.copy()
         broken = problem.break_bonds(state, ALL)
         problem.commit(problem.state(moved, t))
         after = problem.state(moved, t)
-        internal, external = forces(problem, after)
-        balance.fail(before - balance.stored(after), after, internal, external)
-        a = np.where(fixed[:n], 0.0, (external - internal)[:n] / m - inertia.damping * half)
-        inertia.place(moved[:n], v, a, t)
+        acting = forces(problem, after)
+        balance.fail(before - balance.stored(after), after, *acting)
+        place(*acting)
+        inertia.v[:] = v
         return moved, broken
 
-    @property
-    def _held(self) -> bool:
-        return bool(self._problem.supports.fixed.any())
+    def _viscous(self, velocity: Float) -> Float:
+        """Return ``c K_0 v`` of the free components (n_owned, dim) [force] for velocities of the own particles."""
+        if self._resistance is None:
+            return np.zeros_like(velocity)
+        rows = np.zeros((self._problem.body.cloud.n_rows, self._problem.dim))
+        rows[: len(velocity)] = velocity
+        force = self._inertia.damping_time * self._resistance(rows)[: len(velocity)]
+        return np.where(self._problem.supports.fixed[: len(velocity)], 0.0, force)

@@ -89,7 +89,7 @@ class ImplicitSolver(StaticSolver):
         for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
             state = problem.state(converged.u, converged.t)
             self._begin_step(*(found := forces(problem, state)))
-            balance.move(state, *found, inertia.v)
+            balance.move(state, *found)
             number += 1
             failures += converged.failures
             broken, sweeps = broken + converged.broken, sweeps + converged.sweeps

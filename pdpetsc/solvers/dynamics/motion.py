@@ -59,6 +59,5 @@ def begin_motion(problem: Problem, u: Float, dt: float) -> Float:
     inertia.place(start[:n], v, np.zeros_like(v), 0.0)
     internal, external = forces(problem, problem.state(start, 0.0))
     unbalanced = (external - internal)[:n] - inertia.damped(v)
-    a = np.where(fixed[:n], 0.0, unbalanced / inertia.mass[:, None])
-    inertia.place(start[:n], v, a, 0.0)
+    inertia.place(start[:n], v, np.where(fixed[:n], 0.0, unbalanced / inertia.mass[:, None]), 0.0)
     return start

@@ -332,6 +332,8 @@ class Implicit(DeclaredSolver):
     radius : float
         Spectral radius at infinite frequency [-]: 1 conserves the energy of a linear body, less damps waves that the
         time step does not resolve.
+    preload : bool
+        If True, the motion starts from the equilibrium of the conditions at step time 0, not from the undeformed body.
     every : int
         Time steps between records in history and files.
 
@@ -348,6 +350,7 @@ class Implicit(DeclaredSolver):
     dt: Positive
     end: Positive
     radius: float = 1.0
+    preload: bool = field(default=False, kw_only=True)
     every: Count = field(default=1, kw_only=True)
 
     title = "Implicit dynamics"
@@ -383,6 +386,9 @@ class Explicit(DeclaredSolver):
         Time at the end [time].
     safety : float
         Time step over the stable one [-].
+    preload : bool
+        If True, the motion starts from the equilibrium of the conditions at step time 0, not from the undeformed body;
+        it is found by dynamic relaxation.
     records : int
         Number of records in history and files, at equal times.
 
@@ -398,6 +404,7 @@ class Explicit(DeclaredSolver):
 
     end: Positive
     safety: Fraction = 0.9
+    preload: bool = field(default=False, kw_only=True)
     records: Count = field(default=100, kw_only=True)
 
     title = "Explicit dynamics"

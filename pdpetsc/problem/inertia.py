@@ -80,6 +80,8 @@ class Inertia(Term):
         Constants of the step; set by the solver.
     damping_time : float
         Factor of the stiffness in the damping of explicit steps [time].
+    active : bool
+        If False, the term adds nothing: the body is in equilibrium before it moves.
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
 
@@ -98,7 +100,7 @@ class Inertia(Term):
         self.blend = Blend.of(1.0)
         self._free = np.ones((n, dim), dtype=bool)
         self._t, self._dt = 0.0, 0.0
-        self.error, self.damping_time = 0.0, 0.0
+        self.active, self.error, self.damping_time = True, 0.0, 0.0
         self.begin = np.zeros((n, dim))
 
     @property
@@ -172,6 +174,8 @@ class Inertia(Term):
 
     def add_row_force(self, state: State, r: Float) -> None:
         """Add inertia and damping."""
+        if not self.active:
+            return
         v, a = self.motion(state)
         blend, m = self.blend, self.mass[:, None]
         force = m * ((1.0 - blend.alpha_m) * a + blend.alpha_m * self.a) + blend.alpha_f * self.begin
@@ -180,7 +184,7 @@ class Inertia(Term):
     def linearise(self, state: State) -> Sequence[Product]:
         """Return ``M (1 - alpha_m) / ((1 - alpha_f) beta dt^2) + C gamma / (beta dt)``."""
         blend, dt = self.blend, (state.t - self._t) * self._duration
-        if dt <= 0.0:
+        if dt <= 0.0 or not self.active:
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
         blocks = (rate * self.mass)[:, None, None] * np.eye(self._body.dim)

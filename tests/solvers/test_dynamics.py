@@ -317,3 +317,25 @@ def test_a_wave_leaves_through_an_absorbing_boundary(explicit, dim, tmp_path):
     left = (history["kinetic"][-1] + history["strain"][-1]) / history["kinetic"][0]
     assert left < 1e-3
     assert np.abs(history["error"]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "solver", [pd.Explicit(end=PERIOD, preload=True), pd.Implicit(dt=PERIOD / 400, end=PERIOD, preload=True)]
+)
+def test_a_stretched_bar_is_released(solver, tmp_path):
+    """Its end goes back at constant speed and returns after one period of 4 L / c."""
+    force = 0.01 * E
+    pulled = [pd.Displacement("-x", x=0.0), pd.Traction("+x", x=force, schedule=lambda t: float(t == 0.0))]
+    case = bar(solver, n=40, conditions=pulled)
+    history = pd.run(case, tmp_path).history
+    time, tip = np.array(history["time"])[1:], np.array(history["tip"])[1:]
+    exact = 0.01 * LENGTH * (1.0 - 2.0 * np.minimum(time, PERIOD - time) * 2.0 / PERIOD)
+    # Short waves follow the front of the long ones.
+    assert np.sqrt(((tip - exact) ** 2).mean()) < 0.04 * 0.01 * LENGTH
+    assert np.abs(history["error"]).max() < 2e-3
+
+
+def test_a_body_without_supports_has_no_equilibrium_to_start_from(tmp_path):
+    flying = [pd.Traction("+x", x=1.0, schedule=pd.Hold())]
+    with pytest.raises(pd.SolveError):
+        pd.run(bar(pd.Implicit(dt=0.1, end=1.0, preload=True), conditions=flying), tmp_path)

@@ -8,14 +8,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.solvers import Explicit
+from pdpetsc.declare.solvers import DynamicRelaxation, Explicit
+from pdpetsc.declare.steps import Steps
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, printed
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, preload, printed
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
+from pdpetsc.solvers.relaxation import RelaxationSolver
 
 # Largest number of bonds that fail at once: all.
 ALL = 2**62
@@ -92,7 +94,12 @@ class ExplicitSolver(Solver):
         """Yield the recorded states."""
         problem, inertia, declared = self._problem, self._inertia, self._declared
         first = FIRST / declared.records
-        u = begin_motion(problem, start.u, first) if start.t == 0.0 else start.u
+        u = start.u
+        if start.t == 0.0:
+            if declared.preload:
+                relaxed = RelaxationSolver(problem, DynamicRelaxation(), Steps(), self._stop)
+                u = preload(problem, u, lambda v: relaxed.solve(v, 0.0), self._stop)
+            u = begin_motion(problem, u, first)
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
         state = problem.state(u, start.t)
         if inertia.damping_time > 0.0:

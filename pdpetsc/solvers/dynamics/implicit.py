@@ -16,8 +16,8 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.inertia import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, printed
-from pdpetsc.solvers.load_steps import load_steps
+from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, preload, printed
+from pdpetsc.solvers.load_steps import equilibrium, load_steps
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 
@@ -61,10 +61,18 @@ class ImplicitSolver(StaticSolver):
         self._inertia.step_to(t)
         return super().solve(u, t)
 
+    def _equilibrate(self, u: Float) -> tuple[Float, StepResult]:
+        """Find the equilibrium at step time 0, without inertia."""
+        found, result, _, _ = equilibrium(self, None, u, 0.0, self.stop)
+        if result.converged:
+            self.refuse_mechanism(found)
+        self._equilibrium.forget()
+        return found, result
+
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
         sought, n = self._equilibrium, len(self._inertia.mass)
-        if not np.array_equal(u[:n], self._inertia.u):
+        if not self._inertia.active or not np.array_equal(u[:n], self._inertia.u):
             return None  # the step is solved again with other damage
         ahead = u.copy()
         ahead[:n] = self._inertia.ahead(t)
@@ -79,7 +87,11 @@ class ImplicitSolver(StaticSolver):
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the recorded steps (collective)."""
         problem, inertia = self.problem, self._inertia
-        u = begin_motion(problem, start.u, self.steps.first) if start.t == 0.0 else start.u
+        u = start.u
+        if start.t == 0.0:
+            if self._declared.preload:
+                u = preload(problem, u, self._equilibrate, self.stop)
+            u = begin_motion(problem, u, self.steps.first)
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
         state = problem.state(u, start.t)
         self._begin_step(*(found := forces(problem, state)))

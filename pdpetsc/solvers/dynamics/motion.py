@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.errors import SolveError
+from pdpetsc.errors import Interrupted, SolveError
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.solvers.protocol import StepResult
 
 # Largest number of printed lines of a motion.
 LINES = 50
@@ -43,6 +46,35 @@ def inertia_of(problem: Problem) -> Inertia:
     """Return the inertia of a problem of motion (not collective)."""
     assert problem.inertia is not None
     return problem.inertia
+
+
+def preload(
+    problem: Problem, u: Float, equilibrate: Callable[[Float], tuple[Float, StepResult]], stop: Callable[[], bool]
+) -> Float:
+    """Return the unknowns (n_rows, dim) of the equilibrium at step time 0, and commit it (collective).
+
+    Raises
+    ------
+    SolveError
+        There is no equilibrium.
+    Interrupted
+        A signal requested a stop.
+    """
+    inertia = inertia_of(problem)
+    inertia.active = False
+    try:
+        found, result = equilibrate(u)
+    finally:
+        inertia.active = True
+    if stop():
+        raise Interrupted("Stopped by a signal before the motion began.")
+    if not result.converged:
+        raise SolveError(
+            f"The motion has no equilibrium to start from: {result.reason}; hold the body, or lower the loads at step "
+            f"time 0."
+        )
+    problem.commit(problem.state(found, 0.0))
+    return found
 
 
 def begin_motion(problem: Problem, u: Float, dt: float) -> Float:

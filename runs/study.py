@@ -43,9 +43,13 @@ def chosen(words, known, kind="figure"):
     return words[1:] or list(known)
 
 
-def draw_chosen(words, functions, default, kind="figure"):
-    """Call those of ``{name: function(folder)}`` that the command line names, and write the numbers they return."""
-    names = chosen(words, functions, kind)
+def draw_chosen(words, functions, default, kind="figure", parts=None):
+    """Call those of ``{name: function(folder)}`` that the command line names, and write the numbers they return.
+
+    ``parts`` are more functions, of what others draw as well: they are called only where they are named.
+    """
+    functions = functions | (parts or {})
+    names = [name for name in chosen(words, functions, kind) if words[1:] or name not in (parts or {})]
     folder = folder_for(words, default)
     numbers = {}
     for name in names:

@@ -6,8 +6,9 @@ Figure 2: the laws of the critical strain. Figure 4: n = 10, 20, 50, 100, 200 wi
 to 7: n = 100 with constant, decreasing and increasing critical strain, ten realisations each: damage of every section
 by Eq. (8), middle and length of every broken bond, force against inelastic displacement of the first realisation; a
 table of all; and what differs between them. ``laws``: final mechanism and differences between realisations against
-where the increasing law starts. ``outlook``: bonds that soften, other micromoduli. Curves are left as CSV and
-pictures, and ``numbers.json`` has the numbers that belong to the figures of one call.
+where the increasing law starts. ``outlook``: bonds that soften, other micromoduli. ``ends`` and ``further`` are those
+parts of ``laws`` and ``outlook`` whose numbers the table of the papers has, and are drawn only where they are named.
+Curves are left as CSV and pictures, and ``numbers.json`` has the numbers that belong to the figures of one call.
 """
 
 import csv
@@ -28,6 +29,9 @@ from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 SIZES = (10, 20, 50, 100, 200)
 N = 100
 REALISATIONS = 10
+# Where the increasing law starts, and to how many times their critical strain bonds soften.
+STARTS = (0.0, 0.001, 0.002, 0.004, 0.006)
+RATIOS = {name: (1.0, 1.5, 3.0) for name in LAWS}
 NAMES = ("max_force", "final_displacement", "max_damage", "opened", "closed", "dissipated", "broken", "events")
 COLUMNS = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
 
@@ -183,10 +187,10 @@ def figure_7(folder):
     return numbers | realisations(folder, more, title, critical="increasing", perturbation=1e-4)[0]
 
 
-def laws(folder):
+def laws(folder, starts=STARTS):
     """Where the law starts decides about the mechanism; mostly ten realisations are one, translated or mirrored."""
     rows, numbers = [], {}
-    for start in (0.0, 0.001, 0.002, 0.004, 0.006):
+    for start in starts:
         runs = [run(folder, n=N, critical="increasing", start=start, seed=s) for s in range(1, REALISATIONS + 1)]
         patterns = len({pattern(bonds, N) for _, _, _, bonds in runs})
         segments = [found["opened"] + found["closed"] for found, _, _, _ in runs]
@@ -199,11 +203,11 @@ def laws(folder):
     return numbers
 
 
-def outlook(folder):
+def outlook(folder, ratios=RATIOS, micromoduli=tuple(MICROMODULI)):
     numbers = {}
-    for critical in LAWS:
+    for critical, softening in ratios.items():
         curves = {}
-        for ratio in (1.0, 1.5, 3.0):
+        for ratio in softening:
             found, u, force, _ = run(folder, n=N, critical=critical, ratio=ratio)
             curves[f"to {ratio:g} times" if ratio > 1.0 else "snap"] = (100.0 * u, 100.0 * force)
             for key in ("final_displacement", "dissipated", "max_force", "broken"):
@@ -212,7 +216,7 @@ def outlook(folder):
         title = f"Bonds that soften, critical strain {critical}"
         study.write_curves(folder, f"softening_{critical}", title, COLUMNS, curves)
     curves = {}
-    for micromodulus in MICROMODULI:
+    for micromodulus in micromoduli:
         found, u, force, _ = run(folder, n=N, micromodulus=micromodulus)
         curves[micromodulus] = (100.0 * u, 100.0 * force)
         numbers |= {f"{micromodulus}_{key}": found[key] for key in ("max_force", "final_displacement", "dissipated")}
@@ -229,7 +233,12 @@ FIGURES = {
     "laws": laws,
     "outlook": outlook,
 }
+# Of what others draw too.
+PARTS = {
+    "ends": lambda folder: laws(folder, (STARTS[0], STARTS[-1])),
+    "further": lambda folder: outlook(folder, {"constant": (3.0,), "increasing": (1.5, 3.0)}, ("linear",)),
+}
 
 
 if __name__ == "__main__":
-    study.draw_chosen(words, FIGURES, "out/localisation")
+    study.draw_chosen(words, FIGURES, "out/localisation", parts=PARTS)

@@ -6,7 +6,7 @@ the experiment the cracks run at 70 degrees to the notches; in phase field solut
 first with 70 degrees, in the mean 65.
 
 ``n`` particles over 0.1. ``model``: points (``PointDamage``; its ``strength`` is not part of the problem) or bonds
-(``Brittle``, nu = 1/4). ``dim=3``: a plate of 0.009 with the same half.
+(``Brittle``, nu = 1/4). ``dim=3``: a plate of 0.009, in whole cells.
 
 Results: ``angle`` [degrees], of the principal axis of the failed particles above the notch, ``start``, the time at
 which the crack has grown by two horizons, ``speed`` of its tip, the mean until it is 0.03 above the notch, and
@@ -76,7 +76,7 @@ def case(n=100, model="points", strength=6e8, dim=2, horizon=3.015, end=80e-6, r
         }
 
     struck = pd.region.Slab("x", high=h) & pd.region.Slab("y", high=HALF)
-    high = (SIZE, SIZE) if dim == 2 else (SIZE, SIZE, THICK)
+    high = (SIZE, SIZE, round(THICK / h) * h)[:dim]
     crack = pd.Segment((-h, HALF), (NOTCH, HALF))
     if dim == 3:
         crack = pd.PolygonCrack([(-h, HALF, -h), (NOTCH, HALF, -h), (NOTCH, HALF, THICK + h), (-h, HALF, THICK + h)])

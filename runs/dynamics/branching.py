@@ -8,7 +8,7 @@ it the crack branches at 34 to 36e-6 s and stays below 0.6 of the Rayleigh speed
 ``strength`` is not part of the problem) or bonds (``Brittle`` bonds with the fracture energy of a plane, nu = 1/4).
 With a row of particles in the notch a run is not symmetric: ``n`` is even.
 
-Results: ``branch_time``, at which the damaged region is first more than four horizons high ahead of the notch,
+Results: ``branched``, 1 or 0, ``branch_time``, at which the damaged region is first more than four horizons high,
 ``branch_place`` of the tip then, ``speed``, the largest mean speed over 4e-6 s before, ``speed_over_rayleigh``,
 ``asymmetry``, the largest difference of the damage of both halves, ``crack_energy`` over Gc times the length of the
 crack before it branches, and ``energy_error``.
@@ -72,7 +72,8 @@ def case(n=80, model="points", horizon=3.015, strength=4e6, records=80, end=END,
         speeds = [(tip[k] - tip[k - back]) / (time[k] - time[k - back]) for k in range(back, at + 1) if grown[k - back]]
         speed = max(speeds, default=0.0)
         return {
-            "branch_time": float(time[at]) if len(wide) else float("nan"),
+            "branched": float(len(wide) > 0),
+            "branch_time": float(time[at]),
             "branch_place": float(tip[at]),
             "speed": float(speed),
             "speed_over_rayleigh": float(speed) / RAYLEIGH,

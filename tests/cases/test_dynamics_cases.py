@@ -1,7 +1,5 @@
 """Waves, impact and dynamic fracture against closed forms, experiments and other programs."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -86,7 +84,7 @@ def test_a_taylor_bar_has_the_length_and_the_foot_of_other_codes(tmp_path):
 
 def test_a_crack_in_glass_branches(tmp_path):
     crack = found("branching", "n=40", "end=60e-6", "records=60", output=tmp_path)
-    assert not math.isnan(crack["branch_time"])
+    assert crack["branched"] == 1.0
     assert 0.5 < crack["speed_over_rayleigh"] < 0.62
     assert crack["asymmetry"] < 1e-6
     assert crack["energy_error"] < 1e-3

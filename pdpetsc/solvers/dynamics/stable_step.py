@@ -11,7 +11,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
 # Largest number of Lanczos steps, and relative accuracy of the largest frequency at which they end.
-ITERATIONS, EXACT = 60, 1e-3
+ITERATIONS, EXACT = 60, 5e-3
 
 
 def largest_frequency(problem: Problem, state: State, mass: Float) -> float:

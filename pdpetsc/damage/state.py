@@ -129,10 +129,10 @@ class FailingBonds:
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def fails(self, x: Float) -> bool:
-        """Return True if a bond loses force at driving variables x, by softening or by breaking (collective)."""
+        """Return True if the force of a bond changes at driving variables x, or if one breaks (collective)."""
         over = np.where(self.intact, x / self._final, 0.0)
         breaks = float(over.max(initial=0.0)) >= 1.0 - TOGETHER
-        fades = self.laws.softens and bool(np.any(self.following(x)[0] < self.phi))
+        fades = self.laws.softens and bool(np.any(self.following(x)[0] != self.phi))
         return largest(self._comm, float(breaks or fades)) > 0.0
 
     def soften(self, x: Float) -> float:

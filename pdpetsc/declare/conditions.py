@@ -166,7 +166,7 @@ class InitialVelocity(VectorCondition):
     x, y, z : float or callable, optional
         Components [length / time]: numbers, or functions of positions (n, dim) and step time 0; 0 if not declared.
     schedule : callable, optional
-        Not used: the velocity is that at the start.
+        Not allowed: the velocity is that at the start.
 
     Examples
     --------

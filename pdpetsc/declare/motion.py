@@ -44,6 +44,11 @@ class RigidMotion(Declared):
         """Return True if a rotation is declared."""
         return len(np.ravel(self.turn)) > 0
 
+    @property
+    def rests(self) -> bool:
+        """Return True if there is no motion."""
+        return not (np.any(self.move) or np.any(np.ravel(self.turn)))
+
     def check(self, dim: int) -> None:
         """Raise CaseError if vectors have another number of components than ``dim``."""
         if len(self.move) not in (0, dim):

@@ -321,7 +321,7 @@ class Implicit(DeclaredSolver):
     ``M ((1 - alpha_m) a + alpha_m a_0) + (1 - alpha_f) r(u) + alpha_f r(u_0) = 0`` with the residual ``r`` of statics
     at both ends of a step, of second order in the time step. A step that fails is halved. All materials have a
     ``density``; masses are lumped. Step times from 0 to 1 are the times from 0 to ``end``: the schedules and functions
-    of conditions get ``t / end``. The steps of the case are not used.
+    of conditions get ``t / end``. The case has no ``steps``.
 
     Parameters
     ----------
@@ -376,9 +376,9 @@ class Explicit(DeclaredSolver):
     """Motion with inertia by central differences (velocity Verlet), without a matrix.
 
     The time step is ``safety`` times the stable one, ``2 / w`` with the largest frequency of the tangent, found by
-    Lanczos' method, again as often as it changes, and never below that at the start. All materials have a ``density``;
-    masses are lumped. Step times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run whose energy
-    does not balance ends with an error. The steps of the case are not used.
+    Lanczos' method, again as often as it changes; it is never above that at the start. All materials have a
+    ``density``; masses are lumped. Step times from 0 to 1 are the times from 0 to ``end``, as for ``Implicit``. A run
+    whose energy does not balance ends with an error. The case has no ``steps``.
 
     Parameters
     ----------

@@ -126,8 +126,10 @@ class Checkpoints(Observer):
         return {}
 
     def end(self) -> None:
-        """Write the checkpoint of the last step, unless it is there or not wanted."""
-        if self._every > 0 and self._saved != self.observed.last.step:
+        """Write the checkpoint of the last step, unless it is there or not wanted, or a motion is beyond it."""
+        problem, last = self.observed.problem, self.observed.last
+        beyond = problem.inertia is not None and problem.converged != last.t
+        if self._every > 0 and self._saved != last.step and not beyond:
             self._write(self.observed.last)
 
     def _write(self, solution: Solution) -> None:

@@ -395,7 +395,7 @@ def loads(solution: Solution) -> Float:
     """Return the forces of loads on the owned particles, in a motion less inertia (n_owned, dim) [force] (collective).
 
     The terms of the kinetic energy T in the integrals of Nakamura1985 are ``- int (q T),1 dA``, which is zero for a
-    uniform density and straight faces.
+    uniform density, straight faces and a crack that does not grow.
     """
     inertia = solution.problem.inertia
     force = _applied(solution)

@@ -378,8 +378,9 @@ class EnergyError(Quantity):
 
     It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
     and the work of loads, supports and tools. It is positive if the body has gained energy. The numerical damping of
-    ``Implicit`` with a radius below 1 makes it negative. It is 0 if bonds of a body with deformation gradients fail,
-    whose dissipation is not known.
+    ``Implicit`` with a radius below 1 makes it negative. It is 0 where not all energies are known: if bonds fail in a
+    body with deformation gradients or with ``Implicit``, in bodies with temperature or eigenstrains, and for materials
+    that depend on the rate.
 
     Examples
     --------
@@ -534,7 +535,7 @@ class CrackSpeed(CrackTip):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Place and time of the last record.
+        # Place, time and speed at the last record.
         object.__setattr__(self, "_last", [])
 
     def evaluate(self, solution: Solution) -> float:
@@ -544,9 +545,11 @@ class CrackSpeed(CrackTip):
         place, time = super().evaluate(solution), solution.state.clock.time
         axis = np.asarray(self.direction, dtype=float)
         along = solution.x @ (axis / np.linalg.norm(axis))
+        if last and time == last[1]:  # asked again
+            return last[2]
         grown = bool(last) and time > last[1] and last[0] > -solution.largest(float((-along).max(initial=-np.inf)))
         speed = (place - last[0]) / (time - last[1]) if grown else 0.0
-        last[:] = [place, time]
+        last[:] = [place, time, speed]
         return speed
 
 

@@ -309,7 +309,7 @@ class Damage(DamageModel):
         return self.bonds.fading(self.driving_values(state))
 
     def fails(self, state: State) -> bool:
-        """Return True if a bond loses force at a state."""
+        """Return True if the force of a bond changes at a state, or if one breaks."""
         return self.bonds.fails(self.driving_values(state))
 
     def soften(self, state: State) -> float:

@@ -100,6 +100,11 @@ class Problem:
         return self.body.dim
 
     @property
+    def converged(self) -> float:
+        """Return the load parameter of the last committed state (not collective)."""
+        return self._converged
+
+    @property
     def linear(self) -> bool:
         """Return True if the residual is currently linear in the unknowns (not collective)."""
         return all(term.linear for term in self.terms)

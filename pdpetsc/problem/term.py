@@ -78,6 +78,8 @@ class Term(ABC):
     energy_of : str
         Name under which the energy is summed. The energy of the material is ``"strain"``, that of a control
         ``"control"``.
+    works : bool
+        Whether the forces do work on the body that is not a change of the energy of the term, as those of moving tools.
     constrained : bool
         Whether the tangents have a ``Product.constraint``.
     version : int
@@ -96,6 +98,7 @@ class Term(ABC):
     of_solver: bool = False
     horizons: int = 0
     energy_of: str = "extra"
+    works: bool = False
     constrained: bool = False
     version: int = 0
 

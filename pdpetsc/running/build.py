@@ -23,6 +23,7 @@ from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import Implicit
+from pdpetsc.declare.steps import Steps
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
@@ -360,7 +361,10 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
     if density is None:
         lacking = next(one for one in materials.materials if one.density is None)
         raise CaseError(f"{title} needs the density of each material, and {type(lacking).__name__} has none. Give it.")
-    if case.heat is not None or problem.supports.ties is not None or not problem.supports.fixed[cloud.n_owned :].all():
+    if case.steps != Steps():
+        raise CaseError(f"{title} has time steps of its own. Leave steps out.")
+    strained = int(total(cloud.comm, np.count_nonzero(~problem.supports.fixed[cloud.n_owned :])))
+    if case.heat is not None or problem.supports.ties is not None or strained:
         raise CaseError(
             f"{title} does not go with heat conduction, PointSupport or a cell of unknown strain. Use Newton."
         )

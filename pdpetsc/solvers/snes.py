@@ -165,7 +165,9 @@ class SnesSolver(StepSolver):
             if not resting or self.snes.getConvergedReason() <= 0:
                 return resting, linear
             state = self.problem.state(found, sought.t)
-            if not self.problem.update_multipliers(state):
+            # Multipliers that stay would push a body that leaves its tool.
+            moves = self.problem.inertia is not None
+            if moves or not self.problem.update_multipliers(state):
                 objection = self.problem.objection(state)
                 sought.reason = objection or sought.reason
                 return not objection, linear

@@ -115,6 +115,7 @@ class ContactForces(Term):
         self._tool, self._mu, self._c, self._spacing = declared.tool, declared.friction, stiffness, spacing
         self._allowed = declared.penetration * spacing
         self.symmetric = self._mu == 0.0
+        self.works = self._mu > 0.0 or not declared.tool.rests
         surface = body.surface
         assert surface is not None
         self._facets = ChosenFacets(surface, mask)

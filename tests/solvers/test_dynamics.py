@@ -339,3 +339,135 @@ def test_a_body_without_supports_has_no_equilibrium_to_start_from(tmp_path):
     flying = [pd.Traction("+x", x=1.0, schedule=pd.Hold())]
     with pytest.raises(pd.SolveError):
         pd.run(bar(pd.Implicit(dt=0.1, end=1.0, preload=True), conditions=flying), tmp_path)
+
+
+@pytest.mark.parametrize("solver", [pd.Explicit(end=1.2, safety=0.3), pd.Implicit(dt=0.003, end=1.2)])
+@pytest.mark.parametrize("penetration", [0.02, 0.1])
+def test_a_tool_at_rest_gives_no_energy(solver, penetration, tmp_path):
+    """A block that hits a plane without friction leaves it no faster than it came, or the run says why not."""
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (1.0, 0.5), 0.125),
+        material=pd.NeoHookean(E=E, nu=0.3, density=RHO),
+        conditions=[
+            pd.InitialVelocity(region.All(), x=-1.0),
+            pd.Contact("-x", pd.RigidPlane((-0.05, 0.0), (1.0, 0.0)), penetration=penetration, name="wall"),
+        ],
+        solver=solver,
+        history={"kinetic": pd.KineticEnergy(), "error": pd.EnergyError()},
+        fields=[],
+    )
+    try:
+        history = pd.run(case, tmp_path).history
+    except pd.SolveError as error:
+        assert penetration < 0.1 and "raise its stiffness" in str(error)
+        return
+    assert max(np.abs(history["error"])) < 0.05
+    assert history["kinetic"][-1] <= 1.05 * history["kinetic"][0]
+
+
+def breaking(solver, law):
+    """Return a bar of bonds that is held at its left end; its right end is thrown off."""
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 0.5), 0.1),
+        horizon=0.3015,
+        material=pd.BondBased(E=E, plane="strain", density=RHO),
+        damage=law,
+        conditions=[
+            pd.Displacement(region.Slab("x", high=1.0), x=0.0, y=0.0),
+            pd.InitialVelocity(region.Slab("x", low=1.7), x=1.0),
+        ],
+        solver=solver,
+        history={"broken": pd.BrokenBonds(), "kinetic": pd.KineticEnergy(), "error": pd.EnergyError()},
+        results=lambda h: {"broken": h["broken"][-1], "kinetic": h["kinetic"][-1], "off": max(map(abs, h["error"]))},
+        fields=[],
+    )
+
+
+BREAKING = """
+import pdpetsc as pd
+from tests.solvers.test_dynamics import breaking
+
+
+def case(explicit=True):
+    solver = pd.Explicit(end=0.3) if explicit else pd.Implicit(dt=2e-3, end=0.3)
+    return breaking(solver, pd.Brittle(pd.ConstantCritical(0.02)))
+"""
+
+
+@pytest.mark.parametrize("explicit", ["yes", "no"])
+def test_supports_and_failing_bonds_on_other_ranks(explicit, tmp_path):
+    """Supports are on the first rank alone, bonds break on the last."""
+    path = tmp_path / "case.py"
+    path.write_text(BREAKING)
+    words = [path, f"explicit={explicit}"]
+    one, two, three = (results(*words, ranks=n, output=tmp_path / str(n))["results"] for n in (1, 2, 3))
+    assert one["broken"] > 0
+    assert two == pytest.approx(one, rel=1e-6, abs=1e-9)
+    assert three == pytest.approx(one, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [pd.Brittle(pd.ConstantCritical(0.02)), pd.LinearSoftening(pd.ConstantCritical(0.01), 4.0)],
+    ids=["brittle", "softening"],
+)
+def test_the_energy_of_failing_bonds_is_counted(law, tmp_path):
+    history = pd.run(breaking(pd.Explicit(end=0.3), law), tmp_path).history
+    assert history["broken"][-1] > 0
+    assert np.abs(history["error"]).max() < 1e-9
+
+
+def test_a_motion_that_fails_between_records_goes_on_from_its_last_checkpoint(tmp_path):
+    """What fails between two records leaves an earlier checkpoint as it is."""
+
+    def thrown(fails):
+        def held(x, t):
+            return np.full(len(x), np.nan if fails and 0.55 < t < 0.9 else 0.0)
+
+        return dataclasses.replace(
+            breaking(pd.Explicit(end=0.3, records=10), pd.Brittle(pd.ConstantCritical(0.02))),
+            checkpoints=3,
+            conditions=[
+                pd.Displacement(region.Slab("x", high=1.0), x=held, y=0.0),
+                pd.InitialVelocity(region.Slab("x", low=1.7), x=1.0),
+            ],
+        )
+
+    whole = pd.run(thrown(False), tmp_path / "whole")
+    with pytest.raises(pd.SolveError):
+        pd.run(thrown(True), tmp_path / "stopped")
+    again = pd.run(thrown(False), tmp_path / "again", restart=tmp_path / "stopped", restart_anyway=True)
+    assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
+
+
+@pytest.mark.parametrize("explicit", [True, False])
+def test_a_restart_takes_other_records_but_no_other_end(explicit, tmp_path):
+    def solver(end=0.2, every=1):
+        if explicit:
+            return pd.Explicit(end=end, records=10 // every)
+        return pd.Implicit(dt=0.02, end=end, every=every)
+
+    case = dataclasses.replace(spinning(solver()), checkpoints=1)
+    half = dataclasses.replace(case, history={**case.history, "stop": Stopping()})
+    with pytest.raises(pd.RunError):
+        pd.run(half, tmp_path / "half")
+    whole = pd.run(case, tmp_path / "whole")
+    other = dataclasses.replace(case, solver=solver(every=3))
+    again = pd.run(other, tmp_path / "other", restart=tmp_path / "half", restart_anyway=True)
+    assert again.solution.u == pytest.approx(whole.solution.u, abs=1e-3)
+    with pytest.raises(pd.CaseError, match="Use the same end"):
+        longer = dataclasses.replace(case, solver=solver(end=0.4))
+        pd.run(longer, tmp_path / "longer", restart=tmp_path / "half", restart_anyway=True)
+
+
+def test_steps_of_the_case_are_refused(tmp_path):
+    with pytest.raises(pd.CaseError, match="has time steps of its own"):
+        pd.run(bar(pd.Explicit(end=1.0), steps=pd.Steps(4)), tmp_path)
+
+
+def test_a_body_that_heats_up_moves(tmp_path):
+    steel = pd.Thermal(pd.LinearElastic(E=E, nu=0.3, density=RHO), expansion=1e-3, reference=0.0)
+    heated = [pd.Displacement("-x", x=0.0), pd.Temperature(region.All(), 10.0)]
+    history = pd.run(bar(pd.Explicit(end=10 * PERIOD), law=steel, conditions=heated), tmp_path).history
+    assert history["tip"][-1] == pytest.approx(0.01, rel=0.05)
+    assert set(history["error"]) == {0.0}

@@ -15,20 +15,19 @@ from pdpetsc.problem.term import Term
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
-# Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, and what failing bonds have
-# released [energy].
-START, DAMPED, LARGEST, WORK, LOST = (
-    "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds"
+# Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, what failing bonds have
+# released, and the largest energy that the body was given [energy].
+START, DAMPED, LARGEST, WORK, LOST, GIVEN = (
+    "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds", "energy_given"
 )  # fmt: skip
-# Energies that belong to the work of tools on the body, not to the body.
-OF_TOOLS = ("contact",)
 
 
 class MotionBalance:
     """Compare kinetic, stored and dissipated energy of a motion with the work on the body.
 
-    The work is that of the trapezoidal rule over the time steps, of loads, supports and tools, and of terms of the case
-    that define no energy. Held components have the energy that their supports give them, which is left out.
+    The work is that of the trapezoidal rule over the time steps, of loads, supports, tools with friction or in motion,
+    and of terms of the case that define no energy. Held components have the energy that their supports give them, which
+    is left out.
 
     Parameters
     ----------
@@ -44,7 +43,8 @@ class MotionBalance:
     Attributes
     ----------
     known : bool
-        Whether all energies are known. They are not if bonds of a body with deformation gradients fail unreported.
+        Whether all energies are known. They are not if bonds fail in a body with deformation gradients or unreported,
+        in a body with strains without stress, and for materials that depend on the rate.
     step_work : float
         Work since the last record [energy].
     amplified : float
@@ -59,30 +59,35 @@ class MotionBalance:
         self._problem, self._inertia = problem, inertia
         # Energy released by failing bonds; None if the laws of damage tell it.
         self._lost = resume.get(LOST, 0.0) if tells and problem.bond_damage is not None else None
-        self._outside = [
-            term
-            for term in problem.terms
-            if not (term.load or term.of_solver) and (type(term).energy is Term.energy or term.energy_of in OF_TOOLS)
-        ]
-        by_laws = problem.damage is None or problem.material_term.dissipated_energy() is not None
-        self.known = by_laws or self._lost is not None
+        others = [term for term in problem.terms if not (term.load or term.of_solver)]
+        self._outside = [term for term in others if term.works or type(term).energy is Term.energy]
+        # Tools share a name of their energy.
+        names = {term.energy_of for term in self._outside if term.works}
+        self._outside += [term for term in others if term.energy_of in names and term not in self._outside]
+        self._left_out = {*names, inertia.energy_of}
+        if problem.bond_damage is not None:
+            dissipated = tells and problem.material_term.n_points == 0
+        else:
+            dissipated = problem.damage is None or problem.material_term.dissipated_energy() is not None
+        self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed
         self._begun = START in resume
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
-        self.step_work, self.amplified, self._given = 0.0, 0.0, 0.0
+        self.step_work, self.amplified, self._given = 0.0, 0.0, resume.get(GIVEN, 0.0)
         self._u = self._force = self._resisted = np.zeros(0)
 
     @property
     def resume(self) -> dict[str, float]:
         """Return the numbers for a checkpoint (not collective)."""
         numbers = {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
+        numbers[GIVEN] = self._given
         return numbers if self._lost is None else {**numbers, LOST: self._lost}
 
     def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
         """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
         self._u, self._force = state.u, self._acting(state, internal, external)
         self._resisted = self._inertia.damped(self._inertia.v)
-        if not self._begun and self.known:
+        if not self._begun:
             stored, moving = self._held(state, kinetic)
             self._at_start, self._largest = stored + moving, max(abs(stored), moving)
         self._begun = True
@@ -114,15 +119,13 @@ class MotionBalance:
     def record(self, state: State, kinetic: float) -> float:
         """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
         self.step_work = 0.0
-        if not self.known:
-            return 0.0
         stored, moving = self._held(state, kinetic)
         lost = self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
-        self._given = max(self._given, abs(self._at_start + self._work), lost + self._damped)
+        self._given = max(self._given, abs(self._at_start + self._work))
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
-        return off / self._largest if self._largest > 0.0 else 0.0
+        return off / self._largest if self.known and self._largest > 0.0 else 0.0
 
     def _acting(self, state: State, internal: Float, external: Float) -> Float:
         """Compute the forces that work on the body (n_rows, dim) [force]."""
@@ -132,5 +135,5 @@ class MotionBalance:
     def _held(self, state: State, kinetic: float) -> tuple[float, float]:
         """Return stored and kinetic energy of the body [energy]."""
         energies = self._problem.energies(state)
-        stored = sum(value for name, value in energies.items() if name not in (*OF_TOOLS, self._inertia.energy_of))
+        stored = sum(value for name, value in energies.items() if name not in self._left_out)
         return stored, float(total(self._problem.body.cloud.comm, kinetic))

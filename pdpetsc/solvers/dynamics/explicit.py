@@ -14,7 +14,15 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, preload, printed
+from pdpetsc.solvers.dynamics.motion import (
+    END,
+    begin_motion,
+    forces,
+    inertia_of,
+    preload,
+    printed,
+    refuse_other_motion,
+)
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.solvers.relaxation import RelaxationSolver
@@ -22,7 +30,7 @@ from pdpetsc.solvers.relaxation import RelaxationSolver
 # Largest number of bonds that fail at once: all.
 ALL = 2**62
 # Time steps between checks for signals.
-CHECKED = 100
+CHECKED = 20
 # Rounding of a number of time steps.
 ROUNDED = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
@@ -106,24 +114,35 @@ class ExplicitSolver(Solver):
             rest = problem.state(np.zeros_like(u), 0.0)
             elastic = [term for term in problem.terms if term.energy_of in ("strain", "control")]
             self._resistance = Tangent(problem.body, [one for term in elastic for one in term.linearise(rest)])
-        resume = start.resume or {FREQUENCY: self._frequency(u, start.t)}
-        largest, self._steps = resume[FREQUENCY], int(resume.get(STEPS, 0))
+        resume = start.resume
+        largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
+        self._steps = int(resume.get(STEPS, 0))
         # A body that flows is stiffer where it unloads.
         least = resume.get(ELASTIC, largest)
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         dt = self._stable(largest)
-        balance.begin(state, *forces(problem, state), self._kinetic(self._each / self._count(dt)))
-        done = round(start.t * declared.records)
-        for record in range(done + 1, declared.records + 1):
-            t, target = (record - 1) / declared.records, record / declared.records
-            count = self._count(dt)
-            broken = 0
-            for number in range(1, count + 1):
-                at = target if number == count else t + (target - t) * number / count
-                u, failed = self._step(u, at, self._each / count, balance)
-                broken += failed
+        # Bonds fail at the end of a step, not within it.
+        of_bonds = problem.bond_damage is not None
+        problem.freeze(of_bonds)
+        t, begun = start.t, False
+        while t < 1.0 - ROUNDED:
+            target = (math.floor(t * declared.records * (1.0 + ROUNDED)) + 1) / declared.records
+            broken, taken = 0, 0
+            # Steps of equal size from ``base`` on, until the stable step changes.
+            base, number, count = t, 0, self._count(target - t, dt)
+            if not begun:
+                balance.begin(state, *forces(problem, state), self._kinetic((target - t) * declared.end / count))
+                begun = True
+            while number < count:
+                number += 1
+                size = (target - base) * declared.end / count
+                at = target if number == count else base + (target - base) * number / count
+                u, failed = self._step(u, at, size, balance)
+                broken, taken = broken + failed, taken + 1
                 self._steps += 1
+                if failed and problem.material_term.n_points:  # gradients of fewer bonds may be stiffer
+                    due = min(due, self._steps + LEAST)
                 if self._steps % CHECKED == 0 and self._stop():
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
@@ -135,25 +154,40 @@ class ExplicitSolver(Solver):
                         interval = max(LEAST, interval // 2)
                     elif growth < RESTS:
                         interval = min(MOST_STEPS, 2 * interval)
-                    largest, dt, due = now, self._stable(now), self._steps + interval
-            work = balance.step_work
-            state = problem.state(u, target)
-            inertia.error = balance.record(state, self._kinetic(self._each / count))
-            if not math.isfinite(inertia.error) or abs(inertia.error) > MOST:
-                raise SolveError(
-                    f"At step time {target:.6g} the energy does not balance by {abs(inertia.error):.2g} of the largest "
-                    f"so far; {self.advice}."
-                )
-            # A linear motion conserves this energy also beyond the stable step, where its parts grow without bound.
-            if balance.amplified > 2.0 / (1.0 - declared.safety**2):
-                raise SolveError(
-                    f"At step time {target:.6g} the motion is unstable: the body has {balance.amplified:.3g} times the "
-                    f"energy that it was given; {self.advice}."
-                )
-            result = StepResult(True, "end of the time steps", iterations=count)
-            resume = {**balance.resume, FREQUENCY: largest, ELASTIC: least}
-            resume |= {STEPS: float(self._steps), INTERVAL: float(interval), DUE: float(due)}
+                    due = self._steps + interval
+                    if now != largest and number < count:
+                        base, number, count = at, 0, self._count(target - at, self._stable(now))
+                    largest, dt = now, self._stable(now)
+            problem.freeze(False)
+            work, state = balance.step_work, problem.state(u, target)
+            inertia.error = balance.record(state, self._kinetic(size))
+            self._refuse_unbalanced(inertia.error, balance.amplified, target)
+            result = StepResult(True, "end of the time steps", iterations=taken)
+            numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
+            resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
+            problem.freeze(of_bonds)
+            t = target
+
+    def _refuse_unbalanced(self, error: float, amplified: float, t: float) -> None:
+        """Raise SolveError if the energy of a record does not balance, or the motion is unstable."""
+        if not (math.isfinite(error) and math.isfinite(amplified)) or abs(error) > MOST:
+            raise SolveError(
+                f"At step time {t:.6g} the energy does not balance by {abs(error):.2g} of the largest so far; "
+                f"{self.advice}."
+            )
+        # A linear motion conserves this energy also beyond the stable step, where its parts grow without bound.
+        expands = self._problem.body.expansion is not None
+        if amplified > 2.0 / (1.0 - self._declared.safety**2) and not expands:
+            raise SolveError(
+                f"At step time {t:.6g} the motion is unstable: the body has {amplified:.3g} times the energy that it "
+                f"was given; {self.advice}."
+            )
+
+    def resume(self, start: Start) -> None:
+        """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
+        refuse_other_motion(start.resume, self._declared.end)
+        super().resume(start)
 
     def line(self, number: int, converged: Converged) -> str | None:
         """Return the printed line of a record, None for most of many records."""
@@ -173,14 +207,9 @@ class ExplicitSolver(Solver):
         """Return True if the largest frequency may change."""
         return not self._problem.linear or self._problem.damage is not None
 
-    @property
-    def _each(self) -> float:
-        """Return the time between records."""
-        return self._declared.end / self._declared.records
-
-    def _count(self, dt: float) -> int:
-        """Return the number of time steps of at most ``dt`` between records."""
-        return max(1, math.ceil(self._each / dt * (1.0 - ROUNDED)))
+    def _count(self, span: float, dt: float) -> int:
+        """Return the number of time steps of at most ``dt`` over a span of the step time."""
+        return max(1, math.ceil(span * self._declared.end / dt * (1.0 - ROUNDED)))
 
     def _frequency(self, u: Float, t: float) -> float:
         return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)
@@ -222,14 +251,17 @@ class ExplicitSolver(Solver):
             problem.commit(state)
             return moved, 0
         # The second half of the kick at this time is that of the forces after the failure.
-        before, v = balance.stored(state), inertia.v.copy()
-        broken = problem.break_bonds(state, ALL)
+        before, kinetic, v = balance.stored(state), self._kinetic(dt), inertia.v.copy()
+        problem.freeze(False)
+        broken = problem.break_bonds(problem.state(moved, t), ALL)
         problem.commit(problem.state(moved, t))
+        problem.freeze(True)
         after = problem.state(moved, t)
         acting = forces(problem, after)
-        balance.fail(before - balance.stored(after), after, *acting)
         place(*acting)
         inertia.v[:] = v
+        kinetic = float(total(problem.body.cloud.comm, kinetic - self._kinetic(dt)))
+        balance.fail(before - balance.stored(after) + kinetic, after, *acting)
         return moved, broken
 
     def _viscous(self, velocity: Float) -> Float:

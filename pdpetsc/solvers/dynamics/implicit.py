@@ -11,12 +11,13 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import Implicit
 from pdpetsc.declare.steps import Steps
+from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.inertia import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import begin_motion, forces, inertia_of, preload, printed
+from pdpetsc.solvers.dynamics.motion import END, begin_motion, forces, inertia_of, preload, printed, refuse_other_motion
 from pdpetsc.solvers.load_steps import equilibrium, load_steps
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
@@ -52,7 +53,7 @@ class ImplicitSolver(StaticSolver):
     def description(self) -> str:
         """Return a short description of the time integration and its solvers."""
         return (
-            f"generalised-alpha, radius {self._declared.radius:g}, {self.steps.stops().__len__()} steps, "
+            f"generalised-alpha, radius {self._declared.radius:g}, {len(self.steps.stops())} steps, "
             f"{super().description()}"
         )
 
@@ -72,7 +73,8 @@ class ImplicitSolver(StaticSolver):
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
         sought, n = self._equilibrium, len(self._inertia.mass)
-        if not self._inertia.active or not np.array_equal(u[:n], self._inertia.u):
+        again = largest(self._comm, float(not np.array_equal(u[:n], self._inertia.u))) > 0.0
+        if again or not self._inertia.active:
             return None  # the step is solved again with other damage
         ahead = u.copy()
         ahead[:n] = self._inertia.ahead(t)
@@ -83,6 +85,11 @@ class ImplicitSolver(StaticSolver):
         sought.norms.clear()
         sought.forget()
         return None
+
+    def resume(self, start: Start) -> None:
+        """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
+        refuse_other_motion(start.resume, self._declared.end)
+        super().resume(start)
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the recorded steps (collective)."""
@@ -114,7 +121,7 @@ class ImplicitSolver(StaticSolver):
             inertia.error = balance.record(state, inertia.energy_of_free())
             self._refuse_unbalanced(inertia.error, converged.t)
             result = replace(converged.result, iterations=iterations, linear_iterations=linear)
-            resume = {**converged.resume, **balance.resume}
+            resume = {**converged.resume, **balance.resume, END: self._declared.end}
             yield replace(
                 converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
             )
@@ -133,7 +140,7 @@ class ImplicitSolver(StaticSolver):
 
     def _refuse_unbalanced(self, error: float, t: float) -> None:
         """Raise SolveError if the body has gained energy, or lost some that the integrator does not damp."""
-        if error > MOST or (error < -MOST and self._declared.radius == 1.0):
+        if not math.isfinite(error) or error > MOST or (error < -MOST and self._declared.radius == 1.0):
             raise SolveError(
                 f"At step time {t:.6g} the energy does not balance by {abs(error):.2g} of the largest so far; take a "
                 f"shorter dt."

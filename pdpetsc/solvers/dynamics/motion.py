@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.errors import Interrupted, SolveError
+from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -15,6 +15,8 @@ from pdpetsc.solvers.protocol import StepResult
 
 # Largest number of printed lines of a motion.
 LINES = 50
+# Name in a checkpoint: the time at the end [time].
+END = "end"
 
 
 def printed(t: float, step: float) -> bool:
@@ -23,6 +25,16 @@ def printed(t: float, step: float) -> bool:
     Not collective.
     """
     return int(t * LINES * (1.0 + 1e-9)) > int((t - step) * LINES * (1.0 + 1e-9))
+
+
+def refuse_other_motion(resume: Mapping[str, float], end: float) -> None:
+    """Raise CaseError if a checkpoint is not of a motion to the time ``end`` (not collective)."""
+    if END not in resume:
+        raise CaseError(
+            "The checkpoint is of an equilibrium, and the case moves. Start from it with preload=True of the solver."
+        )
+    if resume[END] != end:
+        raise CaseError(f"The checkpoint is of a motion to the time {resume[END]:g}, not {end:g}. Use the same end.")
 
 
 def forces(problem: Problem, state: State) -> tuple[Float, Float]:

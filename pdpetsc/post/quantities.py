@@ -378,9 +378,9 @@ class EnergyError(Quantity):
 
     It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
     and the work of loads, supports and tools. It is positive if the body has gained energy. The numerical damping of
-    ``Implicit`` with a radius below 1 makes it negative. It is 0 where not all energies are known: if bonds fail in a
-    body with deformation gradients or with ``Implicit``, in bodies with temperature or eigenstrains, and for materials
-    that depend on the rate.
+    ``Implicit`` with a radius below 1 makes it negative. It is 0 where not all energies are known: if bonds soften in a
+    body with deformation gradients or fail with ``Implicit``, in bodies with temperature or eigenstrains, and for
+    materials that depend on the rate.
 
     Examples
     --------

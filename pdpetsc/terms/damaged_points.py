@@ -243,9 +243,13 @@ class DamagedPoints(MaterialPoints):
         return strain
 
     def energy(self, state: State) -> float:
-        """Compute ``sum_p W_p phi_p psi_p``, with the mean degradation factor of the bonds of a point."""
-        T = self.damage.phi(state)
-        return float(self.operator.volume @ (self.point_energy(state) * self._at_points(T)))
+        """Compute ``sum_p W_p phi_p psi_p``, with the mean degradation factor of the unbroken bonds of a point.
+
+        The volume of a point has lost the share of its broken bonds already.
+        """
+        T, left = self.damage.phi(state), self._at_points(self.damage.bonds.intact.astype(float))
+        phi = self._at_points(T) / np.where(left > 0.0, left, 1.0)
+        return float(self.operator.volume @ (self.point_energy(state) * phi))
 
     def local_damage(self) -> Float:
         """Compute ``1 - sum_j phi V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""

@@ -574,3 +574,25 @@ def test_a_stiffness_that_was_not_asked_for_is_not_there():
     assert pd.ConstantCritical(0.1).build(bonds).limit == pytest.approx(0.1)
     with pytest.raises(TypeError, match="reads_stiffness = False"):
         pd.BondEnergy(w=1.0).resolve(bonds, lambda degree: 1.0)
+
+
+@pytest.mark.parametrize("effect", [pd.LargestStretch(), pd.PresentStretch()], ids=["largest", "present"])
+def test_the_energy_of_a_body_with_broken_bonds_is_that_of_its_forces(effect, rng):
+    """Its derivative by the displacement is the force, also where families have lost bonds."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (1.0, 0.5), 0.1),
+        horizon=0.2015,
+        material=pd.LinearElastic(E=1.0, nu=0.3),
+        scheme=pd.Correspondence(),
+        weights=pd.Standard(),
+        damage=pd.Brittle(pd.ConstantCritical(0.01), effect=effect),
+        conditions=[pd.Displacement(pd.region.Slab("x", high=0.11), x=0.0, y=0.0)],
+    )
+    problem = pd.prepare(case).problem
+    n = problem.body.cloud.n_owned
+    u = 0.02 * rng.uniform(-1.0, 1.0, (n, 2)) * 0.1
+    u[:, 0] += 0.02 * (problem.body.cloud.x[:n, 0] > 0.5)
+    assert problem.break_bonds(problem.state(u), 10**6) > 0
+    term, du = problem.material_term, 1e-7 * rng.uniform(-1.0, 1.0, (n, 2))
+    change = term.energy(problem.state(u + du)) - term.energy(problem.state(u - du))
+    assert change == pytest.approx(2.0 * (problem.force_of([term], problem.state(u)) * du).sum(), rel=1e-6)

@@ -406,13 +406,16 @@ def test_supports_and_failing_bonds_on_other_ranks(explicit, tmp_path):
     assert three == pytest.approx(one, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    "law",
-    [pd.Brittle(pd.ConstantCritical(0.02)), pd.LinearSoftening(pd.ConstantCritical(0.01), 4.0)],
-    ids=["brittle", "softening"],
-)
-def test_the_energy_of_failing_bonds_is_counted(law, tmp_path):
-    history = pd.run(breaking(pd.Explicit(end=0.3), law), tmp_path).history
+@pytest.mark.parametrize("model", ["brittle", "softening", "correspondence"])
+def test_the_energy_of_failing_bonds_is_counted(model, tmp_path):
+    law = pd.Brittle(pd.ConstantCritical(0.02))
+    if model == "softening":
+        law = pd.LinearSoftening(pd.ConstantCritical(0.01), 4.0)
+    case = breaking(pd.Explicit(end=0.3), law)
+    if model == "correspondence":
+        solid = {"material": pd.LinearElastic(E=E, nu=0.25, density=RHO), "scheme": pd.Correspondence()}
+        case = dataclasses.replace(case, **solid, control=pd.Silling(1.0), weights=pd.Standard())
+    history = pd.run(case, tmp_path).history
     assert history["broken"][-1] > 0
     assert np.abs(history["error"]).max() < 1e-9
 

@@ -43,8 +43,8 @@ class MotionBalance:
     Attributes
     ----------
     known : bool
-        Whether all energies are known. They are not if bonds fail in a body with deformation gradients or unreported,
-        in a body with strains without stress, and for materials that depend on the rate.
+        Whether all energies are known. They are not if bonds fail unreported or soften in a body with deformation
+        gradients, in a body with strains without stress, and for materials that depend on the rate.
     step_work : float
         Work since the last record [energy].
     amplified : float
@@ -66,7 +66,8 @@ class MotionBalance:
         self._outside += [term for term in others if term.energy_of in names and term not in self._outside]
         self._left_out = {*names, inertia.energy_of}
         if problem.bond_damage is not None:
-            dissipated = tells and problem.material_term.n_points == 0
+            # Softening bonds of gradients have forces without potential.
+            dissipated = tells and not (problem.softens and problem.material_term.n_points)
         else:
             dissipated = problem.damage is None or problem.material_term.dissipated_energy() is not None
         self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed

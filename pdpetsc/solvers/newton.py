@@ -162,7 +162,12 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         ahead = last.moved_on(u, t)
         if ahead is None:
             return None
-        linear = self._run(sought.at_prescribed(ahead))
+        return self._tried(sought.at_prescribed(ahead))
+
+    def _tried(self, start: Float) -> int | None:
+        """Run SNES from ``start``; return the linear iterations, or None and keep nothing if that fails."""
+        sought = self._equilibrium
+        linear = self._run(start)
         if not self._failed() or self.stop():
             return linear
         sought.reason = ""

@@ -14,9 +14,14 @@ Results: ``branched``, 1 or 0, ``branch_time``, at which the damaged region is f
 crack before it branches, and ``energy_error``.
 """
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).parent))
+import brittle
 
 import pdpetsc as pd
 
@@ -48,19 +53,6 @@ class Asymmetry(pd.Quantity):
 
 def case(n=80, model="points", horizon=3.015, strength=4e6, records=80, end=END, load=LOAD):
     h = HEIGHT / n
-    points = pd.choose("model", model, {"points": True, "bonds": False})
-    if points:
-        parts = {
-            "material": pd.LinearElastic(E=E, nu=NU, density=DENSITY),
-            "scheme": pd.Correspondence(),
-            "control": pd.Silling(1.0),
-            "damage": pd.PointDamage(pd.softening.Linear(), Gc=GC, strength=strength),
-        }
-    else:
-        parts = {
-            "material": pd.BondBased(E=E, plane="strain", density=DENSITY),
-            "damage": pd.Brittle(pd.FractureEnergy(GC, share=1.0)),
-        }
 
     def results(history):
         time, tip, spread = (np.array(history[name]) for name in ("time", "tip", "spread"))
@@ -105,5 +97,5 @@ def case(n=80, model="points", horizon=3.015, strength=4e6, records=80, end=END,
         picture=pd.Picture(pd.local_damage, ""),
         checkpoints=0,
         results=results,
-        **parts,
+        **brittle.parts(model, E, NU, DENSITY, GC, strength),
     )

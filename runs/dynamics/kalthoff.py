@@ -13,9 +13,14 @@ which the crack has grown by two horizons, ``speed`` of its tip, the mean until 
 ``energy_error``.
 """
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).parent))
+import brittle
 
 import pdpetsc as pd
 
@@ -43,24 +48,10 @@ class Angle(pd.Quantity):
 
 def case(n=100, model="points", strength=6e8, dim=2, horizon=3.015, end=80e-6, records=80):
     h = SIZE / n
-    points = pd.choose("model", model, {"points": True, "bonds": False})
 
     def pushed(x, t):
         time = t * end
         return np.full(len(x), SPEED * (0.5 * time**2 / RISE if time < RISE else time - 0.5 * RISE))
-
-    if points:
-        parts = {
-            "material": pd.LinearElastic(E=E, nu=NU, density=DENSITY),
-            "scheme": pd.Correspondence(),
-            "control": pd.Silling(1.0),
-            "damage": pd.PointDamage(pd.softening.Linear(), Gc=GC, strength=strength),
-        }
-    else:
-        parts = {
-            "material": pd.BondBased(E=E, plane="strain", density=DENSITY),
-            "damage": pd.Brittle(pd.FractureEnergy(GC, share=1.0)),
-        }
 
     def results(history):
         time, tip, angle = (np.array(history[name]) for name in ("time", "tip", "angle"))
@@ -98,5 +89,5 @@ def case(n=100, model="points", strength=6e8, dim=2, horizon=3.015, end=80e-6, r
         picture=pd.Picture(pd.local_damage, ""),
         checkpoints=0,
         results=results,
-        **parts,
+        **brittle.parts(model, E, NU, DENSITY, GC, strength),
     )

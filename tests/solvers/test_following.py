@@ -179,7 +179,7 @@ def test_a_path_never_gives_back_what_was_dissipated(tmp_path):
     try:
         pd.run(dataclasses.replace(case, fields=[], picture=None), output=tmp_path)
     except pd.SolveError as error:
-        assert "the energy does not balance" in str(error)
+        assert "the energy does not balance" in str(error) or "the load factor jumped" in str(error)
     h = history(tmp_path)
     assert h["broken"][-1] > 20
     fallen = np.maximum.accumulate(h["dissipated"]) - h["dissipated"]

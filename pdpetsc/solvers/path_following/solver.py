@@ -28,6 +28,8 @@ LEAP = 10.0
 # A step that changes the load factor by more than JUMP times the highest one has probably left the branch. A shorter
 # step is tried if the step was longer than PATIENCE times the largest step.
 JUMP, PATIENCE = 0.4, 0.05
+# A load factor that changes its sign between more than this share of the highest one has left the branch for certain.
+REVERSED = 0.1
 # Largest number of sweeps until damage has settled; then a shorter step is tried.
 SWEEPS = 100
 # Largest number of solves that reduce the driving variable of bonds that take over from broken ones.
@@ -150,6 +152,8 @@ class PathSolver(SnesSolver):
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
                 result = replace(result, converged=False, reason="the load factor jumped")
+            if result.converged and load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
+                result = replace(result, converged=False, reason="the load factor jumped to the other sign")
             if result.converged and self._constraint.share != 0.0 and self._measure.overshot(attempt, self.load):
                 result = replace(result, converged=False, reason="the measure grew by more than a step")
             if result.converged:

@@ -194,7 +194,8 @@ def test_a_restart_moves_as_if_the_run_had_not_stopped(explicit, tmp_path):
     again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
     assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
     assert np.array_equal(again.solution.problem.inertia.v, whole.solution.problem.inertia.v)
-    assert again.history["error"][-1] == whole.history["error"][-1]
+    # From the record that the run goes on from.
+    assert np.array_equal(again.history["error"], whole.history["error"][5:])
 
 
 @pytest.mark.parametrize("explicit", [True, False])

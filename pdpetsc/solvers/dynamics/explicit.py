@@ -16,12 +16,13 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
 from pdpetsc.solvers.dynamics.motion import (
     END,
+    ERROR,
     begin_motion,
     forces,
     inertia_of,
     preload,
     printed,
-    refuse_other_motion,
+    resume_motion,
 )
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
@@ -164,7 +165,7 @@ class ExplicitSolver(Solver):
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
-            resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end}
+            resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
             problem.freeze(of_bonds)
             t = target
@@ -186,7 +187,7 @@ class ExplicitSolver(Solver):
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
-        refuse_other_motion(start.resume, self._declared.end)
+        resume_motion(self._problem, start.resume, self._declared.end)
         super().resume(start)
 
     def line(self, number: int, converged: Converged) -> str | None:

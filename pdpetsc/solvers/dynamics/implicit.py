@@ -17,7 +17,16 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.inertia import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import END, begin_motion, forces, inertia_of, preload, printed, refuse_other_motion
+from pdpetsc.solvers.dynamics.motion import (
+    END,
+    ERROR,
+    begin_motion,
+    forces,
+    inertia_of,
+    preload,
+    printed,
+    resume_motion,
+)
 from pdpetsc.solvers.load_steps import equilibrium, load_steps
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
@@ -82,7 +91,7 @@ class ImplicitSolver(StaticSolver):
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
-        refuse_other_motion(start.resume, self._declared.end)
+        resume_motion(self.problem, start.resume, self._declared.end)
         super().resume(start)
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
@@ -115,7 +124,7 @@ class ImplicitSolver(StaticSolver):
             inertia.error = balance.record(state, inertia.energy_of_free())
             self._refuse_unbalanced(inertia.error, converged.t)
             result = replace(converged.result, iterations=iterations, linear_iterations=linear)
-            resume = {**converged.resume, **balance.resume, END: self._declared.end}
+            resume = {**converged.resume, **balance.resume, END: self._declared.end, ERROR: inertia.error}
             yield replace(
                 converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
             )

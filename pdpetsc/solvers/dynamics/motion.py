@@ -15,8 +15,8 @@ from pdpetsc.solvers.protocol import StepResult
 
 # Largest number of printed lines of a motion.
 LINES = 50
-# Name in a checkpoint: the time at the end [time].
-END = "end"
+# Names in a checkpoint: the time at the end [time], and the error of the energy balance [-].
+END, ERROR = "end", "energy_error"
 
 
 def printed(t: float, step: float) -> bool:
@@ -27,14 +27,18 @@ def printed(t: float, step: float) -> bool:
     return int(t * LINES * (1.0 + 1e-9)) > int((t - step) * LINES * (1.0 + 1e-9))
 
 
-def refuse_other_motion(resume: Mapping[str, float], end: float) -> None:
-    """Raise CaseError if a checkpoint is not of a motion to the time ``end`` (not collective)."""
+def resume_motion(problem: Problem, resume: Mapping[str, float], end: float) -> None:
+    """Restore the numbers of a checkpoint; raise CaseError unless it is of a motion to the time ``end``.
+
+    Not collective.
+    """
     if END not in resume:
         raise CaseError(
             "The checkpoint is of an equilibrium, and the case moves. Start from it with preload=True of the solver."
         )
     if resume[END] != end:
         raise CaseError(f"The checkpoint is of a motion to the time {resume[END]:g}, not {end:g}. Use the same end.")
+    inertia_of(problem).error = resume.get(ERROR, 0.0)
 
 
 def forces(problem: Problem, state: State) -> tuple[Float, Float]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declared import NonNegative
 from pdpetsc.errors import CaseError
-
-EVERYWHERE = All()
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class RayleighDamping(Condition):
 
     mass: NonNegative = 0.0
     stiffness: NonNegative = 0.0
-    region: Region = EVERYWHERE
+    region: Region = field(default_factory=All)
 
     def put(self, onto: Any, name: str) -> None:
         """Add the damping."""

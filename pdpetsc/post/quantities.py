@@ -506,11 +506,15 @@ class CrackTip(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the coordinate [length]; the smallest one of the whole body if no particle is cracked."""
         self.check(solution.x.shape[1])
+        along, behind = self._along(solution)
+        cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
+        return max(solution.largest(float(along[cracked].max(initial=-np.inf))), behind)
+
+    def _along(self, solution: Solution) -> tuple[Float, float]:
+        """Return the coordinates of the own particles (n_owned,) and the smallest one of the body [length]."""
         axis = np.asarray(self.direction, dtype=float)
         along = solution.x @ (axis / np.linalg.norm(axis))
-        cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
-        behind = -solution.largest(float((-along).max(initial=-np.inf)))
-        return max(solution.largest(float(along[cracked].max(initial=-np.inf))), behind)
+        return along, -solution.largest(float((-along).max(initial=-np.inf)))
 
 
 @dataclass(frozen=True)
@@ -543,11 +547,9 @@ class CrackSpeed(CrackTip):
         inertia_of(solution, self)
         last: list[float] = vars(self)["_last"]
         place, time = super().evaluate(solution), solution.state.clock.time
-        axis = np.asarray(self.direction, dtype=float)
-        along = solution.x @ (axis / np.linalg.norm(axis))
         if last and time == last[1]:  # asked again
             return last[2]
-        grown = bool(last) and time > last[1] and last[0] > -solution.largest(float((-along).max(initial=-np.inf)))
+        grown = bool(last) and time > last[1] and last[0] > self._along(solution)[1]
         speed = (place - last[0]) / (time - last[1]) if grown else 0.0
         last[:] = [place, time, speed]
         return speed

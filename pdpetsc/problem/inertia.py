@@ -63,14 +63,18 @@ class Inertia(Term):
         Masses of the own particles [mass].
     velocity : (n_owned, dim) float64
         Initial velocities [length / time].
+    held : (n_rows, dim) bool
+        Held components, without inertia.
     damper : (n_owned, dim, dim) float64, optional
         ``C`` of each own particle [force time / length].
+    damping_time : float
+        Factor of the stiffness in the damping of explicit steps [time].
     duration : float
         Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
-    mass, damper
+    mass, damper, damping_time
         As above.
     u, v, a : (n_owned, dim) float64
         Displacement [length], velocity and acceleration of the last converged step.
@@ -78,8 +82,6 @@ class Inertia(Term):
         ``s_0``, 0 for held components [force]; set by the solver.
     blend : Blend
         Constants of the step; set by the solver.
-    damping_time : float
-        Factor of the stiffness in the damping of explicit steps [time].
     active : bool
         If False, the term adds nothing: the body is in equilibrium before it moves.
     error : float
@@ -93,24 +95,24 @@ class Inertia(Term):
     of_solver = True
     energy_of = "kinetic"
 
-    def __init__(self, body: Body, mass: Float, velocity: Float, damper: Float | None, duration: float) -> None:
-        self._body, self.mass, self.damper, self._duration = body, mass, damper, duration
+    def __init__(
+        self, body: Body, mass: Float, velocity: Float, held: Mask, damper: Float | None, damping_time: float,
+        duration: float,
+    ) -> None:  # fmt: skip
+        self._body, self.mass, self._duration = body, mass, duration
+        self.damper, self.damping_time = damper, damping_time
         n, dim = body.cloud.n_owned, body.dim
         self.u, self.v, self.a = np.zeros((n, dim)), velocity.copy(), np.zeros((n, dim))
         self.blend = Blend.of(1.0)
-        self._free = np.ones((n, dim), dtype=bool)
+        self._free = ~held[:n]
         self._t, self._dt = 0.0, 0.0
-        self.active, self.error, self.damping_time = True, 0.0, 0.0
+        self.active, self.error = True, 0.0
         self.begin = np.zeros((n, dim))
 
     @property
     def parts(self) -> list[str]:
         """Return the names of the parts (not collective)."""
         return ["inertia"]
-
-    def hold(self, held: Mask) -> None:
-        """Set the components without inertia (n_rows, dim) bool, which are held (not collective)."""
-        self._free = ~held[: len(self.u)]
 
     def step_to(self, t: float) -> None:
         """Prepare a step to load parameter ``t``, which changes the tangent if its size is another (not collective)."""
@@ -196,13 +198,15 @@ class Inertia(Term):
         """Return the kinetic energy of this rank [energy] (not collective)."""
         return 0.5 * float(self.mass @ (self.motion(state)[0] ** 2).sum(axis=1))
 
-    def energy_of_free(self) -> float:
-        """Return the kinetic energy of the free components at the last converged step [energy] (not collective)."""
-        return 0.5 * float(self.mass @ np.where(self._free, self.v**2, 0.0).sum(axis=1))
+    def energy_of_free(self, dt: float = 0.0) -> float:
+        """Return ``sum m (v - dt a / 2) (v + dt a / 2) / 2`` of the free components on this rank [energy].
 
-    def accelerated(self) -> float:
-        """Return ``sum m a^2`` of the free components at the last converged step (not collective)."""
-        return float(self.mass @ np.where(self._free, self.a**2, 0.0).sum(axis=1))
+        They are those of the last converged step. Without ``dt`` it is the kinetic energy. With the time step of
+        central differences, these are the velocities half a step before and after; a linear motion conserves its energy
+        with them (not collective).
+        """
+        squares = np.where(self._free, self.v**2 - (0.5 * dt * self.a) ** 2, 0.0)
+        return 0.5 * float(self.mass @ squares.sum(axis=1))
 
     def commit(self, state: State) -> None:
         """Store the motion at the end of the step."""

@@ -306,7 +306,12 @@ class Problem:
         self._converged = state.t
 
     def update_multipliers(self, state: State) -> bool:
-        """Update the multipliers of all terms at an equilibrium; return True if it has to be solved again."""
+        """Update the multipliers of all terms at an equilibrium; return True if it has to be solved again.
+
+        A motion has none: multipliers that stay would push a body that leaves its tool.
+        """
+        if self.inertia is not None:
+            return False
         return any([term.update_multipliers(state) for term in self.terms])
 
     def objection(self, state: State) -> str:

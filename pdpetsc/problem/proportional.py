@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, irregular
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem, Tangent
@@ -69,9 +69,9 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
                 f"internal force (load = False), or take load steps with Newton."
             )
         return
-    gid = problem.body.cloud.gid[: problem.body.cloud.n_owned, None].astype(float)
+    gid = problem.body.cloud.gid[: problem.body.cloud.n_owned]
     v = np.zeros_like(zero)
-    v[: len(gid)] = np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))
+    v[: len(gid)] = irregular(gid, problem.dim)
     products = [Tangent(problem.body, parts)(v).copy() for parts in found]
     forces = [problem.force_of([term], state) for state in states]
     offset = max(largest(problem.body.cloud.comm, np.abs(force).max(initial=0.0)) for force in forces)

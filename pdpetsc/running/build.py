@@ -380,10 +380,8 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
         damper = (rate * mass)[:, None, None] * np.eye(cloud.dim)
         if applied.absorbing is not None:
             damper += _dashpots(problem.body, materials, density, applied.absorbing)
-    found = Inertia(problem.body, mass, start, damper, case.duration)
-    found.hold(problem.supports.fixed)
-    found.damping_time = applied.damping_time
-    return found
+    held = problem.supports.fixed
+    return Inertia(problem.body, mass, start, held, damper, applied.damping_time, case.duration)
 
 
 def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) -> Float:

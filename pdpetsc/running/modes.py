@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, Mask, irregular
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.modes import Modes
 from pdpetsc.declare.solvers import Newton
@@ -233,8 +233,7 @@ def _led(
     comm, cloud = problem.body.cloud.comm, problem.body.cloud
     counts = np.array(comm.allgather(int(taken.sum())))
     size, parts = int(counts.sum()), np.cumsum(counts)[:-1]
-    gid = cloud.gid[: cloud.n_owned, None].astype(float)
-    start = comm.gather(np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))[taken])
+    start = comm.gather(irregular(cloud.gid[: cloud.n_owned], problem.dim)[taken])
 
     def spread(name: str, y: Float) -> Float:
         """Apply an operator, on all ranks together; called on rank 0."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, irregular
 from pdpetsc.declare.solvers import DynamicRelaxation
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, smallest, total
@@ -185,8 +185,7 @@ class RelaxationSolver(LoadStepSolver):
         """Compute a stable time step at ``u``."""
         cloud = self.problem.body.cloud
         gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
-        gid = gid[:, None].astype(float)
-        v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
+        v = np.where(self._free, irregular(gid, cloud.dim), 0.0)
         supports = self.problem.supports
         tangent = self.problem.linearised(self.state(self._completed(u)))
         square = 0.0

@@ -165,9 +165,7 @@ class SnesSolver(StepSolver):
             if not resting or self.snes.getConvergedReason() <= 0:
                 return resting, linear
             state = self.problem.state(found, sought.t)
-            # Multipliers that stay would push a body that leaves its tool.
-            moves = self.problem.inertia is not None
-            if moves or not self.problem.update_multipliers(state):
+            if not self.problem.update_multipliers(state):
                 objection = self.problem.objection(state)
                 sought.reason = objection or sought.reason
                 return not objection, linear

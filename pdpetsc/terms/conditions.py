@@ -130,7 +130,7 @@ class Applied:
 
     @property
     def moves(self) -> str:
-        """Return the name of a condition that only a motion has; empty if there is none (not collective)."""
+        """Return the name of a condition that requires inertia; an empty name if no condition does (not collective)."""
         if self.velocity is not None:
             return "InitialVelocity"
         if self.damping_rate is not None:

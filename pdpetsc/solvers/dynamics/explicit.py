@@ -133,7 +133,9 @@ class ExplicitSolver(Solver):
             # Steps of equal size from ``base`` on, until the stable step changes.
             base, number, count = t, 0, self._count(target - t, dt)
             if not begun:
-                balance.begin(state, *forces(problem, state), self._kinetic((target - t) * declared.end / count))
+                balance.begin(
+                    state, *forces(problem, state), inertia.energy_of_free((target - t) * declared.end / count)
+                )
                 begun = True
             while number < count:
                 number += 1
@@ -161,7 +163,7 @@ class ExplicitSolver(Solver):
                     largest, dt = now, self._stable(now)
             problem.freeze(False)
             work, state = balance.step_work, problem.state(u, target)
-            inertia.error = balance.record(state, self._kinetic(size))
+            inertia.error = balance.record(state, inertia.energy_of_free(size))
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
@@ -222,11 +224,6 @@ class ExplicitSolver(Solver):
         ratio = 0.5 * self._inertia.damping_time * frequency
         return self._declared.safety * 2.0 / frequency * (math.sqrt(1.0 + ratio**2) - ratio)
 
-    def _kinetic(self, dt: float) -> float:
-        """Return ``m v_-1/2 v_1/2 / 2`` of the free components on this rank, which a linear motion conserves."""
-        inertia = self._inertia
-        return inertia.energy_of_free() - 0.125 * dt**2 * inertia.accelerated()
-
     def _step(self, u: Float, t: float, dt: float, balance: MotionBalance) -> tuple[Float, int]:
         """Move by one time step to load parameter ``t``; return the unknowns and the number of bonds that broke."""
         problem, inertia, fixed = self._problem, self._inertia, self._problem.supports.fixed
@@ -252,7 +249,7 @@ class ExplicitSolver(Solver):
             problem.commit(state)
             return moved, 0
         # The second half of the kick at this time is that of the forces after the failure.
-        before, kinetic, v = balance.stored(state), self._kinetic(dt), inertia.v.copy()
+        before, kinetic, v = balance.stored(state), inertia.energy_of_free(dt), inertia.v.copy()
         problem.freeze(False)
         broken = problem.break_bonds(problem.state(moved, t), ALL)
         problem.commit(problem.state(moved, t))
@@ -261,7 +258,7 @@ class ExplicitSolver(Solver):
         acting = forces(problem, after)
         place(*acting)
         inertia.v[:] = v
-        kinetic = float(total(problem.body.cloud.comm, kinetic - self._kinetic(dt)))
+        kinetic = float(total(problem.body.cloud.comm, kinetic - inertia.energy_of_free(dt)))
         balance.fail(before - balance.stored(after) + kinetic, after, *acting)
         return moved, broken
 

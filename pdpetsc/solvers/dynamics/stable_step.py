@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, irregular
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -45,8 +45,7 @@ def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
     def dot(a: Float, b: Float) -> float:
         return float(total(comm, float((a * b).sum())))
 
-    gid = cloud.gid[:n, None].astype(float)
-    v = np.where(free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(dim)), 0.0)
+    v = np.where(free, irregular(cloud.gid[:n], dim), 0.0)
     size = np.sqrt(dot(v, v))
     if size == 0.0:
         return 0.0

@@ -34,6 +34,8 @@ from pdpetsc.damage import (
     softening,
 )
 from pdpetsc.declare import influence, region
+from pdpetsc.declare.bodies import Bodies
+from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
@@ -160,6 +162,8 @@ __all__ = [
     "Arrays",
     "At",
     "BilinearSoftening",
+    "Bodies",
+    "BodyContact",
     "BodyForce",
     "BondBased",
     "BondEnergy",

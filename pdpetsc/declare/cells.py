@@ -311,7 +311,9 @@ def _warped(points: Float, corners: GlobalIndex) -> Mask:
     return found
 
 
-def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[GlobalIndex, Float, Float, GlobalIndex]:
+def parts_of_facets(
+    points: Float, corners: GlobalIndex, area: Float
+) -> tuple[GlobalIndex, Float, Float, GlobalIndex, Float]:
     """Return the parts of facets that belong to the dual cells of their corners.
 
     Parameters
@@ -323,11 +325,12 @@ def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[G
 
     Returns
     -------
-    nodes, x, area, facet
-        Corner (n_parts,), centroid (n_parts, dim), vector area (n_parts, dim) and facet (n_parts,) of every part.
+    nodes, x, area, facet, outline
+        Corner (n_parts,), centroid (n_parts, dim), vector area (n_parts, dim) and facet (n_parts,) of every part, and
+        its corners in turn (n_parts, 4, dim): the corner, the middle of the facet and those of two edges.
     """
     count = (corners >= 0).sum(axis=1)
-    nodes, centres, areas, facet = [], [], [], []
+    nodes, centres, areas, facet, outlines = [], [], [], [], []
     # Share of the corner, and of each other one, in the centroid of the part next to it.
     for m, own, other in ((1, 1.0, 0.0), (2, 3.0 / 4.0, 1.0 / 4.0), (3, 22.0 / 36.0, 7.0 / 36.0)):
         of = np.flatnonzero(count == m)
@@ -337,6 +340,7 @@ def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[G
             centres.append((own - other) * x[:, corner] + other * x.sum(axis=1))
             areas.append(area[of] / m)
             facet.append(of)
+            outlines.append(_quarter(x, corner))
     of = np.flatnonzero(count == _WIDTH)
     if len(of):
         x = points[corners[of]]
@@ -344,14 +348,25 @@ def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[G
         at, part = _quadrature(x)
         sign = np.where((part.sum(axis=1) * area[of]).sum(axis=1) < 0.0, -1.0, 1.0)
         for corner in range(_WIDTH):
-            # Between the corner, the middles of its edges and that of the facet.
-            after, before = (0.5 * (x[:, corner] + x[:, (corner + step) % _WIDTH]) for step in (1, -1))
-            quarter = np.stack([x[:, corner], after, x.mean(axis=1), before], axis=1)
+            quarter = _quarter(x, corner)
             nodes.append(corners[of, corner])
             centres.append(np.where(bent, at[:, corner], _centroid(quarter)))
             areas.append(sign[:, None] * np.where(bent, part[:, corner], _vector_area(quarter, 0)))
             facet.append(of)
-    return np.concatenate(nodes), np.concatenate(centres), np.concatenate(areas), np.concatenate(facet)
+            outlines.append(quarter)
+    found = nodes, centres, areas, facet, outlines
+    node, x, parts, facets_of, outline = (np.concatenate(one) for one in found)
+    return node, x, parts, facets_of, outline
+
+
+def _quarter(x: Float, corner: int) -> Float:
+    """Return the part (n, 4, dim) of facets with corners (n, m, dim) that belongs to one of them, its corners in turn.
+
+    It is between the corner, the middles of its edges and that of the facet.
+    """
+    m = x.shape[1]
+    after, before = (0.5 * (x[:, corner] + x[:, (corner + step) % m]) for step in (1, -1))
+    return np.stack([x[:, corner], after, x.mean(axis=1), before], axis=1)
 
 
 @dataclass(frozen=True)

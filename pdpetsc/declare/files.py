@@ -168,7 +168,11 @@ class Mesh(Particles):
         x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at], found.middle[at])
         tags = {name: flags[at[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         count = sum(len(block.nodes) for block in blocks)
-        return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags)
+        corners = None
+        if points.shape[1] == 3 and len(facet) == len(at):  # all are flat
+            turn = found.corners[at]
+            corners = points[np.where(turn < 0, turn[:, [2]], turn)]
+        return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags, corners)
 
     def _spheres(self, mesh: MeshData) -> Arrays:
         """Return the particles of a mesh of spheres with volumes of their own."""
@@ -276,10 +280,11 @@ class MeshNodes(Mesh):
         mesh, points, blocks = self._cells()
         found = facets(points, blocks)
         free = np.flatnonzero(found.free)
-        node, x, area, facet = parts_of_facets(points, found.corners[free], found.area[free])
+        node, x, area, facet, outline = parts_of_facets(points, found.corners[free], found.area[free])
         nodes, _ = shares_of_nodes(points, blocks)
         tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, blocks).items()}
-        return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags)
+        corners = outline if points.shape[1] == 3 else None
+        return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags, corners)
 
 
 def _of_spheres(mesh: MeshData) -> bool:

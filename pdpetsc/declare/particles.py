@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cell import corners
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import SIDES, Region, View
@@ -32,13 +32,15 @@ ACROSS = 1e-12
 class Chunk:
     """A contiguous part of the particles: positions, volumes and named sets.
 
-    ``spacing`` (n,) [length] is how far they are apart, where it does not follow from their volumes.
+    ``spacing`` (n,) [length] is how far they are apart, where it does not follow from their volumes. ``body`` (n,) is
+    the number of the body of each, if there are several: particles of two bodies have no bond.
     """
 
     x: Float
     volume: Float
     sets: Mapping[str, Mask]
     spacing: Float | None = None
+    body: GlobalIndex | None = None
 
 
 class Particles(Declared, ABC):
@@ -390,7 +392,9 @@ class LatticeNodes(Particles):
                 tags += [f"{'-' if offset[axis] > 0.0 else '+'}{'xyz'[axis]}"] * len(found)
         looks = np.array(tags, dtype="U2")
         named = {f"{sign}{axis}": looks == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
-        return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), named)
+        middle, area = np.concatenate(places), np.concatenate(areas)
+        corners = box_corners(middle, area, np.full(dim, 0.5 * self.spacing))
+        return Facets(middle, area, np.concatenate(particles), named, corners)
 
     def stairs(self, part: int, parts: int) -> int:
         """Return how many facets of the cells of a part are steps of a staircase."""
@@ -400,12 +404,7 @@ class LatticeNodes(Particles):
         """Return the halves of the free faces of the cells."""
         if self._cells.dim < 3:
             return None
-        middle, area, _, _ = self._cells.surface(part, parts).arrays
-        along = np.argmax(np.abs(area), axis=1)
-        normal = np.sign(area[np.arange(len(area)), along])[:, None]
-        one, other = (0.5 * self.spacing * np.eye(3)[(along + n) % 3] for n in (1, 2))
-        other = other * normal
-        a, b, c, d = middle - one - other, middle + one - other, middle + one + other, middle - one + other
+        a, b, c, d = np.moveaxis(np.asarray(self._cells.surface(part, parts).corners), 1, 0)
         return np.asarray(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
 
     @property
@@ -599,7 +598,18 @@ def _lattice_facets(
             directions += [f"{'-' if sign < 0.0 else '+'}{'xyz'[axis]}"] * len(found)
     named = np.array(directions, dtype="U2")
     tags = {f"{sign}{axis}": named == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
-    return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), tags)
+    x, area = np.concatenate(places), np.concatenate(areas)
+    return Facets(x, area, np.concatenate(particles), tags, box_corners(x, area, sizes))
+
+
+def box_corners(x: Float, area: Float, sizes: Float) -> Float | None:
+    """Return the corners (n, 4, 3) of faces of boxes of some sizes (3,) at ``x``; None for plane bodies."""
+    if x.shape[1] < 3:
+        return None
+    axis = np.argmax(np.abs(area), axis=1)
+    one, other = (0.5 * (sizes * np.eye(3))[(axis + n) % 3] for n in (1, 2))
+    other = other * np.sign(area[np.arange(len(x)), axis])[:, None]
+    return np.stack([x - one - other, x + one - other, x + one + other, x - one + other], axis=1)
 
 
 def _stairs(x: Float, sizes: Float, has: Callable[[Float], Mask]) -> int:

@@ -253,16 +253,20 @@ class Face(Region):
     ----------
     side : {"-x", "+x", "-y", "+y", "-z", "+z"}
         The side.
+    of : str
+        Name of the body in ``Bodies``, or of the set, whose side it is; by default the side of all particles. The name
+        ``"lower +y"`` is that of the side ``"+y"`` of ``lower``.
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> pulled = pd.Traction("+x", x=5.0)
     >>> pulled.region
-    Face(side='+x')
+    Face(side='+x', of='')
     """
 
     side: Side
+    of: str = ""
 
     @property
     def axis(self) -> int:
@@ -272,13 +276,14 @@ class Face(Region):
     def mask(self, view: View) -> Mask:
         """Return True for the outermost particles, or the outermost facets normal to the axis (collective)."""
         layers = view.sets.get(f"fictitious {self.side}")
-        if layers is not None and view.normal is None:
+        if layers is not None and view.normal is None and not self.of:
             return layers
+        among = Named(self.of).mask(view) if self.of else np.ones(len(view.x), dtype=bool)
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
-        furthest = -view.minimum(float((-along).min(initial=np.inf)))
-        nearest = view.minimum(float(along.min(initial=np.inf)))
-        found = np.asarray(along >= furthest - ON_FACE * (furthest - nearest))
+        furthest = -view.minimum(float((-along[among]).min(initial=np.inf)))
+        nearest = view.minimum(float(along[among].min(initial=np.inf)))
+        found = np.asarray(among & (along >= furthest - ON_FACE * (furthest - nearest)))
         if view.normal is not None:
             found &= sign * view.normal[:, self.axis] >= (1.0 - ON_FACE) * np.linalg.norm(view.normal, axis=1)
         return found
@@ -293,7 +298,16 @@ def accept_region_name(declared: object) -> None:
     """Replace the name of a side or set in the field ``region`` of a declaration by the region."""
     name = getattr(declared, "region", None)
     if isinstance(name, str):
-        object.__setattr__(declared, "region", Face(name) if name in SIDES else Named(name))
+        object.__setattr__(declared, "region", region_of_name(name))
+
+
+def region_of_name(name: str) -> Region:
+    """Return the side of this name, the side of a body, or the set."""
+    of, _, side = name.rpartition(" ")
+    # The layers of a lattice are sets, "fictitious -x".
+    if side not in SIDES or of == "fictitious":
+        return Named(name)
+    return Face(side, of)
 
 
 @dataclass(frozen=True)

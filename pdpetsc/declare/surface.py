@@ -27,6 +27,9 @@ class Facets(Declared):
         The particle of each facet, whose cell it bounds, in the order of creation.
     tags : mapping of str to (n,) bool
         Names of parts of the surface, for loads.
+    corners : (n, 4, 3) array_like, optional
+        Corners of the facets of a solid body in turn [length]; the last one of a triangle twice. Contact between bodies
+        requires them.
 
     Examples
     --------
@@ -41,6 +44,7 @@ class Facets(Declared):
     area: ArrayLike
     particle: ArrayLike
     tags: Mapping[str, ArrayLike] = field(default_factory=dict)
+    corners: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,6 +61,8 @@ class Facets(Declared):
             raise CaseError(f"Facets take the number of one particle each, ({len(x)},), not {shown(self.particle)}.")
         if particle.size and particle.min() < 0:
             raise CaseError(f"Facets have a particle number {particle.min()}.")
+        if self.corners is not None and np.shape(self.corners) != (len(x), 4, 3):
+            raise CaseError(f"The corners of Facets are ({len(x)}, 4, 3), not {np.shape(self.corners)}.")
         for name, flags in self.tags.items():
             found = np.asarray(flags)
             if found.dtype != bool or found.shape != (len(x),):
@@ -76,4 +82,6 @@ class Facets(Declared):
         """Return the facets of the particles ``first`` to ``last - 1``, with particles counted from ``first``."""
         x, area, particle, tags = self.arrays
         mine = (particle >= first) & (particle < last)
-        return Facets(x[mine], area[mine], particle[mine] - first, {name: flags[mine] for name, flags in tags.items()})
+        tags = {name: flags[mine] for name, flags in tags.items()}
+        corners = None if self.corners is None else np.asarray(self.corners)[mine]
+        return Facets(x[mine], area[mine], particle[mine] - first, tags, corners)

@@ -81,6 +81,8 @@ class Cloud:
     spread : (dim, dim) float64
         Second moment of the volume of the body about its centre, over its volume [length^2], for the particles of all
         ranks and their mirror images. Zero along periodic directions, in which a body has no end.
+    body : (n_local,) int64 or None
+        Number of the body of each particle; None for one body. Particles of different bodies have no bond.
     stands_for : (n_owned,) float64 or None
         Number of particles that each own particle represents, if it represents others with the same family; None for 1
         each.
@@ -107,6 +109,7 @@ class Cloud:
     places: Places
     n_created: int
     spread: Float
+    body: GlobalIndex | None = None
     stands_for: Float | None = None
 
     def counted(self, numbers: NDArray[Any]) -> int:
@@ -162,6 +165,7 @@ class Cloud:
 def distribute(
     comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float | Float, cell: Cell | None = None,
     planes: Sequence[Symmetry] = (), mutual: bool = False, together: Float | None = None,
+    body: GlobalIndex | None = None, beyond: float = 0.0,
 ) -> Cloud:  # fmt: skip
     """Partition particles over the ranks, number them and create the ghosts of every rank.
 
@@ -179,6 +183,11 @@ def distribute(
         Whether bonds exist if either end reaches the other, as in ``Cloud``.
     together : (n, dim) float64, optional
         Positions for the partition, equal for particles that must be on one rank; by default their own positions.
+    body : (n,) int64, optional
+        Number of the body of each particle that this rank created.
+    beyond : float
+        Ghosts are also the particles that are further than a horizon from own particles by at most this length
+        [length].
 
     Returns
     -------
@@ -209,10 +218,14 @@ def distribute(
         refuse_outside(comm, cell, x)
     reach = np.array(np.broadcast_to(np.asarray(horizon, dtype=float), len(x)))
     refuse_beyond(comm, planes, x, reach)
-    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach]
-    (x, volume, gid, flags, reach), _ = exchange(comm, bisect(comm, x if together is None else together), arrays)
+    number_of = np.zeros(len(x), dtype=np.int64) if body is None else body
+    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach, number_of]
+    (x, volume, gid, flags, reach, number_of), _ = exchange(
+        comm, bisect(comm, x if together is None else together), arrays
+    )
     order = _near_in_memory(x, gid, reach)
     x, volume, gid, flags, reach = x[order], volume[order], gid[order], flags[order], reach[order]
+    number_of = number_of[order]
     widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))
     n_owned = len(x)
     first = offset(comm, n_owned)
@@ -222,10 +235,11 @@ def distribute(
     if cell is not None:
         periods = [n * cell.lengths for n in shifts(cell, widest * (1.0 + HORIZON_TOLERANCE))]
     places = Places.of(dim, planes, periods)
-    ghosts, counts = _candidates(comm, x, reach, [volume, gid, row, flags], places, mutual)
-    near = _within(x, reach, ghosts[0], ghosts[1], mutual)
+    wide = reach + beyond
+    ghosts, counts = _candidates(comm, x, wide, [volume, gid, row, flags, number_of, reach], places, mutual)
+    near = _within(x, wide, ghosts[0], ghosts[1], mutual)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]
-    positions, reaches, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
+    positions, _, volumes, gids, rows, other_flags, their_body, reaches, number = (array[near] for array in ghosts)
     firsts = np.array(comm.allgather(first), dtype=np.int64)
     halo = Halo(comm, n_owned, owner, (rows - firsts[owner]).astype(np.int32))
     flags = np.concatenate([flags, other_flags]).astype(bool)
@@ -251,6 +265,7 @@ def distribute(
         places=places,
         n_created=n_created,
         spread=_spread(comm, x, volume, cell, planes),
+        body=None if body is None else np.concatenate([number_of, their_body]),
     )
 
 

@@ -187,7 +187,7 @@ def find_families(
     """
     cutting = _Cutting(cloud, cracks)
     if repeated is not None and not cloud.varies:
-        lattice = find_lattice(cloud, cutting if cracks else None, repeated, in_order)
+        lattice = find_lattice(cloud, cutting if cutting.cuts else None, repeated, in_order)
         if lattice is not None:
             cutting.refuse_idle()
             return LatticeFamilies(lattice)
@@ -243,7 +243,7 @@ def _pairs(cloud: Cloud) -> LocalIndex:
 
 
 class _Cutting:
-    """Determine which pairs of particles cracks separate, and count the cut pairs of each crack."""
+    """Determine which pairs are of two bodies or separated by cracks, and count the cut pairs of each crack."""
 
     def __init__(self, cloud: Cloud, cracks: Sequence[Crack]) -> None:
         self._cloud, self._cracks = cloud, cracks
@@ -252,12 +252,19 @@ class _Cutting:
         if cloud.images is not None:
             self._home[cloud.n_owned :] = cloud.offset
 
+    @property
+    def cuts(self) -> bool:
+        """Return True if there are cracks or several bodies."""
+        return bool(self._cracks) or self._cloud.body is not None
+
     def __call__(self, pairs: LocalIndex) -> Mask:
-        """Return which pairs a crack separates (n_pairs,) (not collective)."""
+        """Return which pairs have no bond (n_pairs,) (not collective)."""
         cloud = self._cloud
         cut = np.zeros(len(pairs), dtype=bool)
-        if not self._cracks or not len(pairs):
+        if not len(pairs):
             return cut
+        if cloud.body is not None:
+            cut = cloud.body[pairs[:, 0]] != cloud.body[pairs[:, 1]]
         # Both ends test the same bond, on any rank; rounding at the rim of a crack must give both the same result.
         turned = cloud.gid[pairs[:, 0]] > cloud.gid[pairs[:, 1]]
         pairs = np.where(turned[:, None], pairs[:, ::-1], pairs)

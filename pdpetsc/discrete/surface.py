@@ -60,6 +60,8 @@ class Surface:
         Local particles.
     N : (n_entries,) float64
         ``N_f(x_k)`` [-].
+    corners : (n_facets, 4, 3) float64 or None
+        Corners in turn [length], if they are known: of solid bodies.
     """
 
     x: Float
@@ -69,6 +71,7 @@ class Surface:
     ptr: GlobalIndex
     members: LocalIndex
     N: Float
+    corners: Float | None = None
 
     def spread(self, values: Float, onto: Float) -> None:
         """Add ``sum_f N_f(x_k) v_f`` to ``onto`` (n_local, dim) for ``values`` (n_facets, dim) (not collective)."""
@@ -217,7 +220,11 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     order = np.argsort(particle, kind="stable")
     empty = np.zeros(len(x), dtype=bool)
     flags = np.array([tags.get(name, empty) for name in names], dtype=float).reshape(len(names), len(x)).T
-    packed = np.concatenate([x, area, flags], axis=1)[order]
+    parts = [x, area, flags]
+    cornered = created.corners is not None or len(x) == 0
+    if int(total(comm, int(not cornered))) == 0 and dim == 3:
+        parts.append(np.asarray(created.corners, dtype=float).reshape(len(x), 12) if len(x) else np.empty((0, 12)))
+    packed = np.concatenate(parts, axis=1)[order]
     counts = np.bincount(particle, minlength=cloud.n_created).astype(np.int64)
     creator, row = creators(cloud)
     count, start = fetch(comm, creator, row, np.stack([counts, np.cumsum(counts) - counts], axis=1)).T
@@ -231,7 +238,8 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
     _refuse_open(cloud, x, area)
     _refuse_far(cloud, x, owner)
-    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner))
+    corners = packed[kept, 2 * dim + len(names) :].reshape(-1, 4, 3) if len(parts) > 3 else None
+    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner), corners)
 
 
 def _refuse_far(cloud: Cloud, x: Float, owner: GlobalIndex) -> None:

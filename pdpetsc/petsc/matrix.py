@@ -51,10 +51,15 @@ class TangentMatrix(PetscTangent):
     """
 
     def __init__(self, assembler: Assembler, fixed: Mask, scale: float) -> None:
-        self._assembler = assembler
         self._scale = scale
         self._fixed = fixed.ravel()
+        self._build(assembler)
+
+    def _build(self, assembler: Assembler) -> None:
+        """Allocate the matrix of an assembler."""
+        self._assembler, self._pattern = assembler, assembler.problem.pattern
         problem, sparsity = assembler.problem, assembler.pattern
+        fixed = self._fixed.reshape(-1, problem.dim)
         dim, n = problem.dim, problem.body.cloud.n_rows
         self._whole = _allocate(problem, sparsity)
         self._tied = None if problem.supports.ties is None else combination_matrix(problem.supports)
@@ -106,8 +111,16 @@ class TangentMatrix(PetscTangent):
         return found
 
     def renew(self) -> bool:
-        """Return False: the sparsity is that of whole families."""
-        return False
+        """Allocate a new matrix if terms couple other particles than before; return True then.
+
+        Bonds that break leave the sparsity as it is.
+        """
+        problem = self._assembler.problem
+        if self._pattern == problem.pattern:
+            return False
+        self.destroy()
+        self._build(type(self._assembler)(problem))
+        return True
 
     def holds(self) -> bool:
         """Return True if the problem has not changed since the last fill, at any displacement (not collective)."""

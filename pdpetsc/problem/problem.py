@@ -305,6 +305,20 @@ class Problem:
             self.last_step.commit(state)
         self._converged = state.t
 
+    def begin(self, state: State) -> None:
+        """Prepare the terms for solves or time steps that start from a state."""
+        for term in self.terms:
+            term.begin(state)
+
+    @property
+    def pattern(self) -> int:
+        """Return a number that increases if stencils of terms change (not collective)."""
+        return sum(term.pattern for term in self.terms)
+
+    def follow(self, state: State) -> bool:
+        """Update what terms hold during a solve to an equilibrium; return True if it has to be solved again."""
+        return any([term.follow(state) for term in self.terms])
+
     def update_multipliers(self, state: State) -> bool:
         """Update the multipliers of all terms at an equilibrium; return True if it has to be solved again.
 

@@ -82,6 +82,8 @@ class Term(ABC):
         Whether the forces do work on the body that is not a change of the energy of the term, as those of moving tools.
     constrained : bool
         Whether the tangents have a ``Product.constraint``.
+    pattern : int
+        Increases if ``stencils`` change.
     version : int
         Increases if the forces or the tangent at the same unknowns and load parameter change, for example if ``commit``
         updates history variables.
@@ -100,6 +102,7 @@ class Term(ABC):
     energy_of: str = "extra"
     works: bool = False
     constrained: bool = False
+    pattern: int = 0
     version: int = 0
 
     def __init_subclass__(cls, **more: object) -> None:
@@ -196,6 +199,16 @@ class Term(ABC):
 
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
         """Update after bonds have lost or regained force; if ``rebuild``, after bonds have broken or mended."""
+
+    def begin(self, state: State) -> None:  # noqa: B027
+        """Prepare for solves or time steps that start from a state."""
+
+    def follow(self, state: State) -> bool:
+        """Update what is held during a solve, such as which facets touch, to a state.
+
+        Return True on all ranks if the forces have changed, so that the step has to be solved again.
+        """
+        return False
 
     def update_multipliers(self, state: State) -> bool:
         """Update multipliers, which are constant during a solve, at its equilibrium.

@@ -32,7 +32,7 @@ SLACK = 1.0 + 1e-6
 # Reason for no equilibrium of a loaded loose piece.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
 # Reason for no equilibrium with contact.
-UNSETTLED = "a tool stays deeper in the body than its contact allows; raise its stiffness"
+UNSETTLED = "the contact does not settle; raise its stiffness, or take smaller steps"
 # A failed solve under loads has run away if it moved this multiple of its first linear response.
 RUNAWAY = 100.0
 # Interpretation of a run-away solve.
@@ -323,6 +323,7 @@ class Equilibrium:
         self.norms, self.reason, self._start, self._moved = [], "", u, (0.0, 0.0)
         if self.problem.springs is not None:
             self.problem.springs.hold(u)
+        self.problem.begin(self.problem.state(u, self.t))
         renewed = self.tangent.renew()
         state = self.problem.state(u, self.t)
         force = self.problem.internal_force(state)

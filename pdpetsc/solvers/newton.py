@@ -98,8 +98,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.t = t
         sought.impose(t)
         if sought.begin(u):
-            self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
-            self._equip()
+            self._use_tangent()
         jump = np.where(self._fixed, sought.at_prescribed(u) - u, 0.0)
         sought.resist(jump)
         if self._all_prescribed:

@@ -13,6 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.petsc.library import forces_iteration, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNSETTLED, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
 from pdpetsc.solvers.unique import refuse_mechanism
@@ -144,9 +145,9 @@ class SnesSolver(StepSolver):
         return np.asarray(x.array_r[: self._n_u] * self._scales.length)
 
     def _rested(self) -> tuple[bool, int]:
-        """Solve again with moved springs of loose particles and with new multipliers, until neither moves the body.
+        """Solve again with moved springs, facets that touch now and new multipliers, until none of these moves the body.
 
-        Return True if forces balance without the springs, the multipliers have settled and no term objects to the step,
+        Return True if forces balance without the springs, the contacts have settled and no term objects to the step,
         and the linear iterations.
         """
         sought, linear = self._equilibrium, 0
@@ -165,15 +166,34 @@ class SnesSolver(StepSolver):
             if not resting or self.snes.getConvergedReason() <= 0:
                 return resting, linear
             state = self.problem.state(found, sought.t)
-            if not self.problem.update_multipliers(state):
+            if self._unchanged(state) and not self.problem.update_multipliers(state):
+                state = self.problem.state(found, sought.t)
                 objection = self.problem.objection(state)
                 sought.reason = objection or sought.reason
                 return not objection, linear
             sought.reason = ""
+            if sought.tangent.renew():
+                self._use_tangent()
             linear += self._iterate(found)
             resting = sought.at_rest(self._read(self._x), self._rtol)
         sought.reason = UNSETTLED
         return False, linear
+
+    def _unchanged(self, state: State) -> bool:
+        """Let the terms follow an equilibrium; return True if it is one of the changed forces too."""
+        if not self.problem.follow(state):
+            return True
+        reason, seen = self._equilibrium.reason, len(self._equilibrium.norms)
+        kept = self._judged(self._x)
+        del self._equilibrium.norms[seen:]
+        self._equilibrium.reason = reason
+        return kept
+
+    def _use_tangent(self) -> None:
+        """Pass matrices of the tangent to SNES, after they were replaced."""
+        tangent = self._equilibrium.tangent
+        self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
+        self._equip()
 
     def _judged(self, x: PETSc.Vec) -> bool:
         """Return True if the residuals at a vector are within the tolerance."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.declare.conditions import (
     BodyForce,
     Centrifugal,
@@ -39,8 +40,10 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
 from pdpetsc.terms.centrifugal import CentrifugalForce
-from pdpetsc.terms.contact import STIFFNESS, ContactForces
+from pdpetsc.terms.body_contact import BodyContactForces
+from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
+from pdpetsc.terms.facet_contact import STIFFNESS
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.surface_loads import SurfaceLoads
 
@@ -85,7 +88,7 @@ class Applied:
         self.damping_rate: Float | None = None
         self.damping_time = 0.0
         self.absorbing: Mask | None = None
-        self._contacts: list[Contact] = []
+        self._contacts: set[str] = set()
         self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -209,15 +212,31 @@ class Applied:
             condition.tool.check(cloud.dim)
         assert self.body.surface is not None
         mask = self.body.surface.select(cloud, condition.region, name)
-        apart = nearest_distances(self.body)[self.body.surface.owner[mask]]
-        spacing = float(total(cloud.comm, apart.sum()) / total(cloud.comm, len(apart)))
-        if any(one.name == condition.name for one in self._contacts):
-            raise CaseError(f"Two contacts are named {condition.name!r}; give each a name.")
-        self._contacts.append(condition)
-        stiffness = condition.stiffness
-        if stiffness is None:
-            stiffness = STIFFNESS * largest(cloud.comm, self._material_term.kappa) / spacing
+        stiffness, spacing = self._contact_stiffness(condition, mask)
+        self._contacts.add(condition.name)
         self.following.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
+
+    def body_contact(self, condition: BodyContact, name: str) -> None:
+        """Add the contact of two parts of the surface."""
+        surface = self.body.surface
+        assert surface is not None
+        one, other = (surface.select(self.body.cloud, region, name) for region in (condition.region, condition.other))
+        stiffness, spacing = min(self._contact_stiffness(condition, mask) for mask in (one, other))
+        self._contacts.add(condition.name)
+        self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name))
+
+    def _contact_stiffness(self, condition: Contact | BodyContact, mask: Mask) -> tuple[float, float]:
+        """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
+        surface, comm = self.body.surface, self.body.cloud.comm
+        assert surface is not None
+        if condition.name in self._contacts:
+            raise CaseError(f"Two contacts are named {condition.name!r}; give each a name.")
+        owner = surface.owner[mask]
+        apart = nearest_distances(self.body)[owner]
+        spacing = float(total(comm, apart.sum()) / total(comm, len(apart)))
+        if condition.stiffness is not None:
+            return condition.stiffness, spacing
+        return STIFFNESS * largest(comm, self._material_term.kappa) / spacing, spacing
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

@@ -110,6 +110,7 @@ class ExplicitSolver(Solver):
                 u = preload(problem, u, lambda v: relaxed.solve(v, 0.0), self._stop)
             u = begin_motion(problem, u, first)
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
+        problem.begin(problem.state(u, start.t))
         state = problem.state(u, start.t)
         if inertia.damping_time > 0.0:
             rest = problem.state(np.zeros_like(u), 0.0)

@@ -205,7 +205,7 @@ class PathSolver(SnesSolver):
         self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
         sought.impose(self.load, *(self.load * one for one in self._whole))
         if sought.begin(u):
-            self._bordered.renew()
+            self._use_tangent()
         sought.resist(self._held)
         self._begun = self.load, sought.resisted
         self._bordered.put(self._x, u / self._scales.length, self.load)
@@ -223,6 +223,10 @@ class PathSolver(SnesSolver):
         if converged:
             result = replace(result, negative_pivots=self._pivots())
         return sought.at_prescribed(values), result
+
+    def _use_tangent(self) -> None:
+        """Border the new matrices of the tangent."""
+        self._bordered.renew()
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the measure grow by ``size``; return unknowns, outcome, broken bonds and sweeps."""

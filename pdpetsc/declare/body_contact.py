@@ -1,0 +1,88 @@
+"""Contact between the surfaces of bodies, or of a body with itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from pdpetsc.declare.conditions import Condition
+from pdpetsc.declare.region import Region, region_of_name
+from pdpetsc.declared import Fraction, NonNegative, Positive
+from pdpetsc.errors import CaseError
+
+# Reach of a contact by default, in horizons.
+REACH = 4.0
+# Horizons from a facet to the particles that its displacement is interpolated from, at both ends, and to its owner.
+AROUND = 3.0
+
+
+@dataclass(frozen=True)
+class BodyContact(Condition):
+    """Contact of two parts of the surface, with Coulomb friction: of two bodies, or of a body with itself.
+
+    Facets of both parts that look at each other and overlap, seen along the mean of their normals, form pairs. Both
+    facets of a pair feel opposite forces at the middle of the overlap: the pressure ``p = <p0 - stiffness g>`` of the
+    gap ``g`` there, and friction as for ``Contact``, times the area of the overlap. A uniform pressure is transferred
+    exactly, whatever the spacings of both sides, and forces and moments balance. The pairs are those of the deformed
+    surfaces: an equilibrium is solved again with the pairs found in it until no iteration is necessary.
+
+    Parameters
+    ----------
+    region : Region or str
+        Facets of one part: the name of a body in ``Bodies``, its side (``"lower +y"``), a set or a region.
+    other : Region or str
+        Facets of the other part; the same region for the contact of a body with itself. Facets that face each other
+        through the material do not touch.
+    friction, stiffness, penetration, name
+        As for ``Contact``, with the coarser spacing of both sides. The columns are the force of the other part on the
+        region.
+    reach : float, optional
+        Largest distance in the undeformed bodies of points that come into contact [length]; by default four of the
+        largest horizons. A run in which the parts have moved further, relative to each other, fails. On several ranks
+        particles within this distance of each other are exchanged.
+
+    Raises
+    ------
+    CaseError
+        In a case: bodies overlap at the start, in a periodic cell, or outlines of the facets of a solid are unknown.
+    SolveError
+        As for ``Contact``; or the bodies have moved further than ``reach``.
+
+    References
+    ----------
+    Wriggers2006, sections 5.1 and 5.2 (penalty), 5.4 (augmented Lagrange), 10.5 (return mapping).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> touching = pd.BodyContact("wheel", "rail +y", friction=0.3, name="wheel")
+    """
+
+    region: Region
+    other: Region
+    friction: NonNegative = 0.0
+    stiffness: Positive | None = None
+    penetration: Fraction = 0.01
+    reach: Positive | None = None
+    name: str = "contact"
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.other, str):
+            object.__setattr__(self, "other", region_of_name(self.other))
+        super().__post_init__()
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the term."""
+        if onto.cell is not None:
+            raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
+        onto.body_contact(self, name)
+
+    def beyond(self, horizon: float) -> float:
+        """Return how much further than a horizon particles are exchanged [length]."""
+        return self.reach_at(horizon) + AROUND * horizon
+
+    def reach_at(self, horizon: float) -> float:
+        """Return the reach for the largest horizon [length]."""
+        return REACH * horizon if self.reach is None else self.reach

@@ -1,0 +1,339 @@
+"""Forces between facets and what they touch: augmented Lagrange, Coulomb friction by return mapping."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
+from pdpetsc.discrete.communicator import largest
+from pdpetsc.errors import SolveError
+from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.gradient.products import Product, RankOneProduct
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray, Term
+from pdpetsc.terms.chosen_facets import by_component
+
+# Pressure over penetration of the default stiffness, in moduli over the spacing [-]. With ten times of it a tool that
+# moves by a spacing a step, with friction, needs four times as many load steps.
+STIFFNESS = 10.0
+# Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
+STICKING = 0.1
+# Tolerance of a penetration that is computed again.
+SLACK = 1.0 + 1e-6
+# Penetration over the spacing from which surfaces overlap at the start [-].
+OVERLAP = 1e-6
+
+
+class Touching(NamedTuple):
+    """Store tractions (m, dim) [stress] at the points in contact, and minus their derivatives (m, dim, dim)."""
+
+    rows: GlobalIndex
+    traction: Float
+    blocks: Float
+
+
+class ContactProduct(RankOneProduct):
+    """Couple the particles around each point of contact by ``sum_p w_p (x) w_p B_p``.
+
+    Parameters
+    ----------
+    facets : StencilMembers
+        The members of each point.
+    n_owned : int
+        Number of own particles.
+    N : (n_entries,) float64
+        Weights ``w_p`` of the members [-]; they may sum to one, unlike those of a gradient.
+    blocks : (n_points, dim, dim) float64
+        ``B_p`` [force / length].
+    """
+
+    def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
+        n, dim = blocks.shape[:2]
+        # One stencil for each component of the displacement of a facet.
+        members, entry, of, column = by_component(facets, dim)
+        h = N[entry, None] * blocks[of, :, column]
+        g = N[entry, None] * np.eye(dim)[column]
+        super().__init__(members, n_owned, h, g, np.ones(n * dim))
+        self._facets, self._N, self._blocks = facets, N, blocks
+        self._of = np.repeat(np.arange(n), np.diff(facets.point_ptr))
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the points of the particles; unlike a gradient, they may resist translations."""
+        here = np.isin(self._facets.owner, particles)
+        members, N = self._facets.members, self._N
+        at = N[:, None] * du[members]
+        moved = np.stack([np.bincount(self._of, along, len(here)) for along in at.T], axis=1)
+        force = np.where(here[:, None], np.einsum("fij,fj->fi", self._blocks, moved), 0.0)
+        np.add.at(f, members, N[:, None] * force[self._of])
+
+
+class Points(NamedTuple):
+    """Store points of contact on the facets of this rank.
+
+    Attributes
+    ----------
+    x : (n_points, dim) float64
+        Positions in the undeformed body [length].
+    area : (n_points,) float64
+        Area that each stands for [area].
+    of : (n_points,) int64
+        Number of its multiplier, ascending.
+    stencils : StencilMembers
+        Particles of which the relative displacement of each point is composed.
+    weights : (n_entries,) float64
+        Their weights [-].
+    """
+
+    x: Float
+    area: Float
+    of: GlobalIndex
+    stencils: StencilMembers
+    weights: Float
+
+    def moved(self, u: Float) -> Float:
+        """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
+        at = self.weights[:, None] * u[self.stencils.members]
+        of = np.repeat(np.arange(len(self.area)), np.diff(self.stencils.point_ptr))
+        return np.stack([np.bincount(of, along, len(self.area)) for along in at.T], axis=1)
+
+    def spread(self, force: Float, f: Float) -> None:
+        """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
+        of = np.repeat(np.arange(len(self.area)), np.diff(self.stencils.point_ptr))
+        np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
+
+    def product(self, n_owned: int, rows: GlobalIndex, stiffness: Float) -> ContactProduct:
+        """Return the tangent of some points with blocks (m, dim, dim) [stress / length]."""
+        entry, ptr = entries_of(self.stencils.point_ptr, rows)
+        members = StencilMembers(self.stencils.owner[rows], ptr, self.stencils.members[entry])
+        return ContactProduct(members, n_owned, self.weights[entry], self.area[rows, None, None] * stiffness)
+
+
+class FacetContact(Term):
+    """Compute the forces ``f_k = sum_p w_p(x_k) A_p (p n + tau)`` at points of contact on facets.
+
+    With the gap g of a point, ``p = <p0 - c g>`` with the multiplier ``p0``. Friction has the trial traction
+    ``tau* = (1 - n (x) n) (tau_0 - c_t s)`` with the slip s since the last converged step. It sticks, ``tau = tau*``,
+    while ``|tau*| <= mu p``, and slides with ``tau = mu p tau* / |tau*|``.
+
+    Parameters
+    ----------
+    body : Body
+        Particles with their surface.
+    owner : (n,) int32
+        Own particle of each multiplier, ascending. There is at most one point of contact for each.
+    friction : float
+        ``mu`` [-].
+    stiffness : float
+        ``c`` [stress / length].
+    spacing, penetration : float
+        Mean spacing of the particles [length], and the largest penetration over it [-].
+    title, name : str
+        What touches, in messages, and prefix of the columns in the history.
+
+    Notes
+    -----
+    Construction and the methods are collective.
+    """
+
+    linear = False
+    energy_of = "contact"
+    horizons = 2
+
+    def __init__(
+        self, body: Body, owner: LocalIndex, friction: float, stiffness: float, spacing: float, penetration: float,
+        title: str, name: str,
+    ) -> None:  # fmt: skip
+        self.body, self._title, self._name = body, title, name
+        self._mu, self._c, self._spacing, self._allowed = friction, stiffness, spacing, penetration * spacing
+        self.symmetric = friction == 0.0
+        self._owner = owner
+        # At the last converged step: tangential tractions and multipliers.
+        self._tau, self._p0 = np.zeros((len(owner), body.dim)), np.zeros(len(owner))
+        # Multipliers of the current solve.
+        self._p = self._p0.copy()
+
+    @property
+    @abstractmethod
+    def _points(self) -> Points:
+        """Return the points of contact."""
+
+    @abstractmethod
+    def _gap(self, state: State) -> tuple[Float, Float, Float]:
+        """Compute gap [length], normal and curvature [1 / length] of the points (collective)."""
+
+    @abstractmethod
+    def _slip(self, state: State) -> Float:
+        """Compute the displacements of the points since the last converged step, relative to what they touch.
+
+        (n_points, dim) [length] (collective).
+        """
+
+    def _rotation(self, state: State) -> Float:
+        """Return the rotation from the axes of normals and tractions to those of space (collective)."""
+        return np.eye(self.body.dim)
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
+        """Return the members of the points (not collective)."""
+        return self._points.stencils.point_ptr, self._points.stencils.members
+
+    def _touching(self, state: State) -> Touching:
+        """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
+        gap, slip = self._gap(state), self._slip(state)
+        return state.kept((self, "touching", self.version), lambda: self._tractions(slip, *gap))
+
+    def _tractions(self, slip: Float, g: Float, n: Float, H: Float) -> Touching:
+        of = self._points.of
+        pressure = self._p[of] - self._c * g
+        rows = np.flatnonzero(pressure > 0.0)
+        n, H, p = n[rows], H[rows], pressure[rows]
+        nn = n[:, :, None] * n[:, None, :]
+        traction = p[:, None] * n
+        # Minus the derivative of p n.
+        blocks = self._c * nn - p[:, None, None] * H
+        if self._mu > 0.0:
+            along = self._tau[of[rows]] - STICKING * self._c * slip[rows]
+            across = np.eye(self.body.dim) - nn
+            trial = np.einsum("pij,pj->pi", across, along)
+            size = np.linalg.norm(trial, axis=1)
+            # Derivative of the trial, which turns with the normal.
+            turned = (n * along).sum(axis=1)[:, None, None] * H
+            turned = turned + n[:, :, None] * np.einsum("pij,pj->pi", H, along)[:, None, :]
+            by = STICKING * self._c * across + turned
+            slides = size > self._mu * p
+            e = trial / np.where(size > 0.0, size, 1.0)[:, None]
+            share = np.where(slides, self._mu * p / np.where(size > 0.0, size, 1.0), 1.0)
+            sliding = np.einsum("pij,pjk->pik", np.eye(self.body.dim) - e[:, :, None] * e[:, None, :], by)
+            sliding = share[:, None, None] * sliding + self._mu * self._c * e[:, :, None] * n[:, None, :]
+            blocks = blocks + np.where(slides[:, None, None], sliding, by)
+            traction = traction + share[:, None] * trial
+        return Touching(rows, traction, blocks)
+
+    def _in_space(self, state: State) -> Touching:
+        """Compute the tractions at the points in contact (collective)."""
+        touching, R = self._touching(state), self._rotation(state)
+        return Touching(touching.rows, touching.traction @ R.T, R @ touching.blocks @ R.T)
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Subtract the forces of the contact."""
+        touching, points = self._in_space(state), self._points
+        force = np.zeros((len(points.area), self.body.dim))
+        force[touching.rows] = points.area[touching.rows, None] * touching.traction
+        points.spread(force, f)
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return the blocks of the points in contact."""
+        touching = self._in_space(state)
+        return [self._points.product(self.body.cloud.n_owned, touching.rows, touching.blocks)]
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_p A_p ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
+        touching, n, area = self._touching(state), self._gap(state)[1], self._points.area
+        p = (touching.traction * n[touching.rows]).sum(axis=1)
+        tau = (touching.traction**2).sum(axis=1) - p**2
+        stored = area[touching.rows] @ (p**2 + tau / STICKING) - area @ self._p[self._points.of] ** 2
+        return float(stored / (2.0 * self._c))
+
+    def _off(self, state: State) -> float:
+        """Compute the violation ``|min(g, p / c)|`` of ``g >= 0, p >= 0, g p = 0`` [length] (collective)."""
+        g = self._gap(state)[0]
+        p = np.maximum(self._p[self._points.of] - self._c * g, 0.0)
+        off = np.where(g < 0.0, -g, np.minimum(g, p / self._c))
+        return largest(self.body.cloud.comm, float(off.max(initial=0.0)))
+
+    def update_multipliers(self, state: State) -> bool:
+        """Make the pressures the multipliers; return False if no facet penetrates or is pressed from afar."""
+        if self._off(state) <= self._allowed:
+            return False
+        of = self._points.of
+        p, self._p = np.maximum(self._p[of] - self._c * self._gap(state)[0], 0.0), np.zeros(len(self._owner))
+        self._p[of] = p
+        self.version += 1
+        return True
+
+    def revert_multipliers(self) -> None:
+        """Restore the multipliers of the last converged step."""
+        self._p = self._p0.copy()
+        self.version += 1
+
+    def commit(self, state: State) -> None:
+        """Store tangential tractions and multipliers; raise SolveError if a penetration is too large."""
+        deepest = self._off(state)
+        if deepest > self._allowed * SLACK:
+            raise SolveError(
+                f"{self._title} is {deepest / self._spacing:.2g} spacings deep in the body at step time "
+                f"{state.t:.6g}; raise its stiffness above {self._c:.3g}, or its penetration."
+            )
+        self._p0[:] = self._p
+        if self._mu > 0.0:
+            touching, n = self._touching(state), self._gap(state)[1]
+            normal = n[touching.rows]
+            along = (touching.traction * normal).sum(axis=1)[:, None] * normal
+            self._tau[:] = 0.0
+            self._tau[self._points.of[touching.rows]] = touching.traction - along
+            self.version += 1
+
+    @property
+    def has_history(self) -> bool:
+        """Return True if there is friction, which depends on the last converged step."""
+        return self._mu > 0.0
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return multipliers, and tractions of friction, at the last converged step."""
+        found = {"p": self._p0} | ({"tau": self._tau} if self._mu > 0.0 else {})
+        return {f"{self._name}_{of}": KeptArray(self._owner, values) for of, values in found.items()}
+
+    def restored(self) -> None:
+        """Continue with the multipliers of a checkpoint."""
+        self.revert_multipliers()
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return the force on the facets by component, the area in contact, and the violation of the gap."""
+        comm = self.body.cloud.comm
+
+        def component(axis: int) -> Callable[[State], float]:
+            def force(state: State) -> float:
+                touching = self._in_space(state)
+                return float(self._points.area[touching.rows] @ touching.traction[:, axis])
+
+            return force
+
+        def depth(state: State) -> float:
+            # The history sums over the ranks.
+            off = self._off(state) / self._spacing
+            return off if comm.rank == 0 else 0.0
+
+        found = {f"{self._name}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
+        found[f"{self._name}_area"] = lambda state: float(self._points.area[self._touching(state).rows].sum())
+        return found | {f"{self._name}_depth": depth}
+
+    def of_facets(self, state: State) -> tuple[Float, Float, Float]:
+        """Return positions, tractions and areas of the points of this rank in contact (collective).
+
+        (m, dim) [length], (m, dim) [stress] and (m,) [area]. Positions are those in the undeformed body.
+        """
+        touching, points = self._in_space(state), self._points
+        return points.x[touching.rows], touching.traction, points.area[touching.rows]
+
+    def fields(self) -> Mapping[str, Callable[[State], Float]]:
+        """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
+
+        def traction(state: State) -> Float:
+            touching, points = self._in_space(state), self._points
+            owner = points.stencils.owner
+            values = np.zeros((self.body.cloud.n_owned, self.body.dim))
+            np.add.at(values, owner[touching.rows], points.area[touching.rows, None] * touching.traction)
+            area = self._areas_of_particles
+            return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
+
+        return {f"{self._name}_traction": traction}
+
+    @property
+    @abstractmethod
+    def _areas_of_particles(self) -> Float:
+        """Return the area of the facets of each own particle (n_owned,) [area]."""

@@ -1,0 +1,181 @@
+"""Contact of bodies: patch tests, tangent, moments, friction, ranks, units, restart, collisions, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.commands import results
+
+E, NU = 1000.0, 0.3
+
+
+def block(low, high, spacing, angle=0.0):
+    """Return nodes of a plane block, turned about the origin."""
+    nodes = pd.LatticeNodes(low, high, spacing)
+    if angle == 0.0:
+        return nodes
+    turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
+    chunk, facets = nodes.chunk(0, 1), nodes.surface()
+    x, area, particle, tags = facets.arrays
+    return pd.Arrays(
+        chunk.x @ turn.T, chunk.volume, facets=pd.Facets(x @ turn.T, area @ turn.T, particle, tags)
+    )
+
+
+def stacked(spacings=(0.25, 0.2), unit=1.0, modulus=E, nu=0.0, top=-0.1, friction=0.0, **changes):
+    """Return a block on another one of other spacing, pressed from above: the height changes by 5 percent."""
+    lower = pd.LatticeNodes((0.0, 0.0), (2.0 * unit, unit), spacings[0] * unit)
+    upper = pd.LatticeNodes((0.0, unit), (2.0 * unit, 2.0 * unit), spacings[1] * unit)
+    case = pd.Case(
+        particles=pd.Bodies({"lower": lower, "upper": upper}),
+        material=pd.LinearElastic(E=modulus, nu=nu, plane="stress"),
+        conditions=[
+            pd.Roller("lower -y"),
+            pd.Roller("-x"),
+            pd.Displacement("upper +y", y=top * unit),
+            pd.BodyContact("lower +y", "upper -y", friction, penetration=1e-7, name="pair"),
+        ],
+        history={"interface": pd.Mean(pd.displacement, "y", "lower +y")},
+        fields=[pd.displacement, pd.stress],
+        steps=pd.Steps(2),
+    )
+    return dataclasses.replace(case, **changes)
+
+
+@pytest.mark.parametrize("spacings", [(0.25, 0.2), (0.1, 0.25), (0.25, 0.25)])
+def test_unlike_lattices_carry_a_uniform_pressure(spacings, tmp_path):
+    run = pd.run(stacked(spacings), tmp_path)
+    assert run.history["pair_y"][-1] == pytest.approx(-2.0 * 0.05 * E, rel=1e-6)
+    assert run.history["interface"][-1] == pytest.approx(-0.05, rel=1e-6)
+    assert run.history["pair_area"][-1] == pytest.approx(2.0)
+    stress = run.field("stress")
+    np.testing.assert_allclose(stress[:, 1, 1], -0.05 * E, rtol=1e-6)
+    np.testing.assert_allclose(stress[:, 0, 1], 0.0, atol=1e-6 * E)
+
+
+@pytest.mark.parametrize("kind", ["cells", "turned", "solid", "solid cells"])
+def test_other_surfaces_carry_a_uniform_pressure(kind, tmp_path):
+    """Cells that end at the interface, an interface at an angle, and solids: the ends of a bar come together by 0.05."""
+    solid, angle = kind.startswith("solid"), 0.5 if kind == "turned" else 0.0
+    dim = 3 if solid else 2
+    particles = pd.Lattice if kind.endswith("cells") else block
+    if kind == "solid":
+        particles = pd.LatticeNodes
+    more = {"angle": angle} if kind == "turned" else {}
+    corners = np.eye(dim)[-1]
+    lower = particles(np.zeros(dim), np.ones(dim), 0.125 if kind == "cells" else 0.25, **more)
+    upper = particles(corners, np.ones(dim) + corners, 0.2 if solid else 0.1, **more)
+    n = np.array([-np.sin(angle), np.cos(angle)]) if dim == 2 else corners
+
+    def along(axis):
+        """Return the displacement of a bar that shortens by 0.05 in 2."""
+        return lambda x, t: -0.025 * t * (x @ n) * n[axis]
+
+    ends = pd.region.Where(lambda x: np.abs(x @ n - 1.0) > 0.45)
+    # The facets of cells at the ends also act on particles that are free.
+    pressed = [] if kind in ("turned", "solid") else [
+        pd.Traction(f"{of} {sign}{'xyz'[dim - 1]}", **{"xyz"[dim - 1]: push * 0.025 * E})
+        for of, sign, push in (("lower", "-", 1.0), ("upper", "+", -1.0))
+    ]  # fmt: skip
+    case = pd.Case(
+        particles=pd.Bodies({"lower": lower, "upper": upper}),
+        material=pd.LinearElastic(E=E, nu=0.0, **({} if solid else {"plane": "stress"})),
+        weights=pd.Conforming(),
+        conditions=[
+            pd.Displacement(ends, **{axis: along(number) for number, axis in enumerate("xyz"[:dim])}),
+            pd.BodyContact("lower", "upper", penetration=1e-7, name="pair"),
+            *pressed,
+        ],
+        fields=[pd.stress, pd.displacement],
+    )
+    run = pd.run(case, tmp_path)
+    force = np.array([run.history[f"pair_{axis}"][-1] for axis in "xyz"[:dim]])
+    np.testing.assert_allclose(force, -0.025 * E * n, atol=1e-4)
+    stress, free = run.field("stress"), np.abs(run.x[:, :dim] @ n - 1.0) < 0.45
+    N = np.zeros(3)
+    N[:dim] = n
+    expected = -0.025 * E * np.outer(N, N)[: stress.shape[1], : stress.shape[2]]
+    np.testing.assert_allclose(stress[free], np.broadcast_to(expected, stress[free].shape), atol=1e-4)
+
+
+def problem_of(case):
+    """Return the problem of a case and its contact."""
+    problem = pd.prepare(case).problem
+    (term,) = (one for one in problem.terms if type(one).__name__ == "BodyContactForces")
+    return problem, term
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+def test_forces_have_their_tangent_and_balance(friction, rng):
+    problem, term = problem_of(stacked(friction=friction))
+    n, dim = problem.body.cloud.n_owned, problem.dim
+    x = problem.body.cloud.x
+    upper = problem.body.cloud.sets["upper"]
+    u = 2e-3 * rng.uniform(-1.0, 1.0, (n, dim)) - 0.01 * upper[:, None] * (0.3, 1.0)
+    term.commit(problem.state(0.0 * u, 0.0))
+    assert term.follow(problem.state(u, 0.9))
+
+    def force(u):
+        f = np.zeros((n, dim))
+        term.add_force(problem.state(u, 0.9), f)
+        return f
+
+    f, y = force(u), x + u
+    assert np.abs(f).max() > 1.0
+    np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-10 * np.abs(f).sum())
+    moment = (y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum()
+    # Friction acts on both facets, which are a penetration apart.
+    assert abs(moment) < (1e-6 if friction == 0.0 else 1e-2) * np.abs(f).sum()
+    du, h = rng.uniform(-1.0, 1.0, (n, dim)), 1e-7
+    (product,) = term.linearise(problem.state(u, 0.9))
+    exact = np.zeros((n, dim))
+    product.add_product(du, exact, np.arange(n, dtype=np.int32))
+    difference = (force(u + h * du) - force(u - h * du)) / (2.0 * h)
+    assert np.abs(difference - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_units_change_nothing(friction, tmp_path):
+    found = []
+    for unit, modulus in ((1.0, E), (1e20, E), (1e-20, 1e20 * E)):
+        run = pd.run(stacked(unit=unit, modulus=modulus, nu=0.3, friction=friction), tmp_path / f"{unit:g}")
+        found.append(np.array([run.history["pair_y"][-1], run.history["interface"][-1] * modulus]) / (modulus * unit))
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-6)
+
+
+TEXT = """
+import numpy as np
+import pdpetsc as pd
+
+def case(friction=0.3, steps=4, solver="newton"):
+    lower = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125)
+    upper = pd.LatticeNodes((0.25, 1.0), (1.25, 1.5), 0.1)
+    lowered, pushed = pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 1.0]), pd.Table([0.0, 0.5, 1.0], [0.0, 0.0, 1.0])
+    return pd.Case(
+        particles=pd.Bodies({"lower": lower, "upper": upper}),
+        material=pd.LinearElastic(E=1000.0, nu=0.3),
+        conditions=[
+            pd.Clamp("lower -y"),
+            pd.Displacement("upper +y", y=-0.01, schedule=lowered),
+            pd.Displacement("upper +y", x=0.3, schedule=pushed),
+            pd.BodyContact("lower +y", "upper -y", friction, penetration=1e-4, name="pair"),
+        ],
+        history={"top": pd.Mean(pd.displacement, "y", "lower +y")},
+        results=lambda h: {"x": h["pair_x"][-1], "y": h["pair_y"][-1], "top": h["top"][-1]},
+        steps=pd.Steps(steps),
+    )
+"""
+
+
+def test_ranks_and_matrix_free_solves_agree_and_sliding_drags(tmp_path):
+    path = tmp_path / "sliding.py"
+    path.write_text(TEXT)
+    one = results(path, ranks=1, output=tmp_path / "one")["results"]
+    assert one["x"] == pytest.approx(-0.3 * one["y"], rel=0.02) and one["y"] < -1.0
+    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", ["-pd_jacobian", "matfree"], 1)):
+        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=1e-6), name

@@ -131,8 +131,8 @@ class Bodies(Particles):
     def cells(self) -> Cells:
         """Return the cells of all bodies."""
         found, first = [one.cells().own for one in self.parts.values()], self._firsts()
-        points = np.cumsum([0, *(len(one.points) for one in found)])
-        corners = np.cumsum([0, *(len(one.corners) for one in found)])
+        points = np.cumsum([0, *(len(one.points) for one in found)]).tolist()
+        corners = np.cumsum([0, *(len(one.corners) for one in found)]).tolist()
 
         def joined(of: Callable[[Cells], GlobalIndex], shift: Sequence[int]) -> GlobalIndex:
             return np.concatenate([of(one) + n for one, n in zip(found, shift, strict=False)])

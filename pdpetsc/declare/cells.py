@@ -354,9 +354,8 @@ def parts_of_facets(
             areas.append(sign[:, None] * np.where(bent, part[:, corner], _vector_area(quarter, 0)))
             facet.append(of)
             outlines.append(quarter)
-    found = nodes, centres, areas, facet, outlines
-    node, x, parts, facets_of, outline = (np.concatenate(one) for one in found)
-    return node, x, parts, facets_of, outline
+    of_parts = np.concatenate(nodes), np.concatenate(centres), np.concatenate(areas), np.concatenate(facet)
+    return *of_parts, np.concatenate(outlines)
 
 
 def _quarter(x: Float, corner: int) -> Float:

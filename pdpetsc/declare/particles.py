@@ -609,7 +609,7 @@ def box_corners(x: Float, area: Float, sizes: Float) -> Float | None:
     axis = np.argmax(np.abs(area), axis=1)
     one, other = (0.5 * (sizes * np.eye(3))[(axis + n) % 3] for n in (1, 2))
     other = other * np.sign(area[np.arange(len(x)), axis])[:, None]
-    return np.stack([x - one - other, x + one - other, x + one + other, x - one + other], axis=1)
+    return np.asarray(np.stack([x - one - other, x + one - other, x + one + other, x - one + other], axis=1))
 
 
 def _stairs(x: Float, sizes: Float, has: Callable[[Float], Mask]) -> int:

@@ -1,4 +1,4 @@
-"""Overlap of facets that face each other."""
+"""Overlap of facets that face each other, and its derivatives."""
 
 from __future__ import annotations
 
@@ -10,120 +10,179 @@ from pdpetsc.kernels.compile import compiled
 MOST = 8
 # Edges and areas below this share of those of a facet are none.
 NONE = 1e-12
+# Step of complex differences over the size of a facet: its square vanishes beside 1.
+STEP = 1e-30
+# Quantities of a pair: area, gap, normal (3), and the point on both facets (3 each).
+AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES = 0, 1, 2, 5, 8, 11
 
 
 @compiled
-def overlap(one, other, facing, area, at, across, normal, gap):  # type: ignore[no-untyped-def]
+def overlap(y, other_y, X, other_X, one, other, facing, q):  # type: ignore[no-untyped-def]
     """Compute the overlap of pairs of facets, seen along the mean of their normals.
 
     Parameters
     ----------
-    one, other : (n_pairs, 4, 3) float64
-        Corners of both facets, in turn as seen from outside [length].
+    y, other_y : (n_one, 4, 3), (n_other, 4, 3) float64
+        Deformed corners of the facets of both sides, in turn as seen from outside [length].
+    X, other_X : as these
+        Undeformed corners relative to the centroids of their facets [length].
+    one, other : (n_pairs,) int64
+        Facets of both sides of each pair.
     facing : float
         Pairs overlap only if the cosine of the angle between the normal of one and minus that of the other exceeds it.
-    area : (n_pairs,) float64
-        Area of the overlap, across the mean normal; 0 if there is none (output).
-    at, across : (n_pairs, 3) float64
-        The middle of the overlap on one facet, and on the other (output) [length].
-    normal : (n_pairs, 3) float64
-        Mean normal, from the other facet to the one (output).
-    gap : (n_pairs,) float64
-        Distance along it, negative if the facets have passed through each other (output) [length].
+    q : (n_pairs, 11) float64
+        Quantities of each pair (output): the area of the overlap across the mean normal, 0 if there is none; the
+        distance along it at the middle of the overlap, negative if the facets have passed through each other; the mean
+        normal, from the other facet to the one; and the undeformed points of both facets that are at the middle,
+        relative to their centroids.
     """
-    p, q = np.empty((MOST + 1, 2)), np.empty((MOST + 1, 2))
-    edge = np.empty((4, 2))
-    n, e = np.empty(3), np.empty((2, 3))
-    a, b = np.empty(3), np.empty(3)
-    ca, cb = np.empty(3), np.empty(3)
-    for s in range(one.shape[0]):
-        area[s] = 0.0
-        sa = _plane(one[s], ca, a)
-        sb = _plane(other[s], cb, b)
-        if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > -facing:
-            continue
+    p, r, edge = np.empty((MOST + 1, 2)), np.empty((MOST + 1, 2)), np.empty((4, 2))
+    v = np.empty((6, 3))
+    for s in range(one.size):
+        a, b = one[s], other[s]
+        _pair(y[a], other_y[b], X[a], other_X[b], facing, p, r, edge, v, q[s])
+
+
+@compiled
+def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):  # type: ignore[no-untyped-def]
+    """Compute the derivatives of the quantities of ``overlap`` by the corners, with complex differences.
+
+    ``J`` (n_pairs, 11, 2 k dim) has the components of the k corners of the one facet, then those of the other. In the
+    plane a corner is an edge across it, and k is 2.
+    """
+    p, r = np.empty((MOST + 1, 2), np.complex128), np.empty((MOST + 1, 2), np.complex128)
+    edge, v = np.empty((4, 2), np.complex128), np.empty((6, 3), np.complex128)
+    q = np.empty(QUANTITIES, np.complex128)
+    facets = np.empty((2, 4, 3), np.complex128)
+    k = 4 if dim == 3 else 2
+    for s in range(one.size):
+        a, b = one[s], other[s]
         size = 0.0
         for m in range(3):
-            n[m] = b[m] - a[m]
-            size += n[m] * n[m]
-        size = np.sqrt(size)
-        for m in range(3):
-            n[m] /= size
-        # Axes across the normal: the first one is across the axis along which the normal is longest.
-        k = 0
-        for m in range(1, 3):
-            if abs(n[m]) > abs(n[k]):
-                k = m
-        m1, m2 = (k + 1) % 3, (k + 2) % 3
-        e[0, :] = 0.0
-        size = np.sqrt(n[k] * n[k] + n[m1] * n[m1])
-        e[0, k], e[0, m1] = -n[m1] / size, n[k] / size
-        e[1, 0] = n[1] * e[0, 2] - n[2] * e[0, 1]
-        e[1, 1] = n[2] * e[0, 0] - n[0] * e[0, 2]
-        e[1, 2] = n[0] * e[0, 1] - n[1] * e[0, 0]
-        # Relative to the middle of the one. As seen along n, the other facet turns left and the one turns right.
-        count = 0
-        for c in range(4):
-            for d in range(2):
-                p[c, d] = 0.0
-                edge[c, d] = 0.0
-                for m in range(3):
-                    p[c, d] += e[d, m] * (one[s, 3 - c, m] - ca[m])
-                    edge[c, d] += e[d, m] * (other[s, c, m] - ca[m])
-        count = 4
-        least = NONE * np.sqrt(max(sa, sb))
-        for c in range(4):
-            x0, y0 = edge[c, 0], edge[c, 1]
-            dx, dy = edge[(c + 1) % 4, 0] - x0, edge[(c + 1) % 4, 1] - y0
-            if abs(dx) + abs(dy) <= least:
-                continue
-            kept = 0
-            for v in range(count):
-                w = (v + 1) % count
-                left = dx * (p[v, 1] - y0) - dy * (p[v, 0] - x0)
-                after = dx * (p[w, 1] - y0) - dy * (p[w, 0] - x0)
-                if left >= 0.0 and kept < MOST + 1:
-                    q[kept, 0], q[kept, 1] = p[v, 0], p[v, 1]
-                    kept += 1
-                if (left >= 0.0) != (after >= 0.0) and kept < MOST + 1:
-                    share = left / (left - after)
-                    q[kept, 0] = p[v, 0] + share * (p[w, 0] - p[v, 0])
-                    q[kept, 1] = p[v, 1] + share * (p[w, 1] - p[v, 1])
-                    kept += 1
-            count = kept
-            for v in range(count):
-                p[v, 0], p[v, 1] = q[v, 0], q[v, 1]
-            if count < 3:
-                break
+            size += abs(y[a, 2, m] - y[a, 0, m])
+        step = STEP * size
+        for side in range(2):
+            for c in range(k):
+                for i in range(dim):
+                    for corner in range(4):
+                        for m in range(3):
+                            facets[0, corner, m] = y[a, corner, m]
+                            facets[1, corner, m] = other_y[b, corner, m]
+                    facets[side, c, i] += 1j * step
+                    if dim == 2:
+                        facets[side, 3 - c, i] += 1j * step
+                    _pair(facets[0], facets[1], X[a], other_X[b], facing, p, r, edge, v, q)
+                    column = (side * k + c) * dim + i
+                    for number in range(QUANTITIES):
+                        J[s, number, column] = q[number].imag / step
+
+
+@compiled
+def _pair(one, other, X, other_X, facing, p, r, edge, v, q):  # type: ignore[no-untyped-def]
+    """Compute the quantities ``q`` of one pair; ``p, r, edge, v`` are memory for it."""
+    ca, cb, a, b, n, at = v[0], v[1], v[2], v[3], v[4], v[5]
+    q[AREA] = 0.0
+    sa, sb = _plane(one, ca, a), _plane(other, cb, b)
+    if (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).real > -facing:
+        return
+    size = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
+    size = np.sqrt(size)
+    for m in range(3):
+        n[m] = (b[m] - a[m]) / size
+    # Axes across the normal: the first one is also across an axis of space.
+    k = 0
+    for m in range(1, 3):
+        if abs(n[m].real) > abs(n[k].real):
+            k = m
+    m1, m2 = (k + 1) % 3, (k + 2) % 3
+    size = np.sqrt(n[k] * n[k] + n[m1] * n[m1])
+    ek, e1 = -n[m1] / size, n[k] / size
+    # The second one is n x (the first one).
+    fk, f1, f2 = -n[m2] * e1, n[m2] * ek, n[k] * e1 - n[m1] * ek
+    # Relative to the middle of the one. As seen along n, the other facet turns left and the one turns right.
+    for c in range(4):
+        dk, d1, d2 = one[3 - c, k] - ca[k], one[3 - c, m1] - ca[m1], one[3 - c, m2] - ca[m2]
+        p[c, 0], p[c, 1] = ek * dk + e1 * d1, fk * dk + f1 * d1 + f2 * d2
+        dk, d1, d2 = other[c, k] - ca[k], other[c, m1] - ca[m1], other[c, m2] - ca[m2]
+        edge[c, 0], edge[c, 1] = ek * dk + e1 * d1, fk * dk + f1 * d1 + f2 * d2
+    count = 4
+    least = NONE * np.sqrt(max(sa.real, sb.real))
+    for c in range(4):
+        x0, y0 = edge[c, 0], edge[c, 1]
+        dx, dy = edge[(c + 1) % 4, 0] - x0, edge[(c + 1) % 4, 1] - y0
+        if abs(dx.real) + abs(dy.real) <= least:
+            continue
+        kept = 0
+        for s in range(count):
+            t = (s + 1) % count
+            left = dx * (p[s, 1] - y0) - dy * (p[s, 0] - x0)
+            after = dx * (p[t, 1] - y0) - dy * (p[t, 0] - x0)
+            if left.real >= 0.0 and kept < MOST + 1:
+                r[kept, 0], r[kept, 1] = p[s, 0], p[s, 1]
+                kept += 1
+            if (left.real >= 0.0) != (after.real >= 0.0) and kept < MOST + 1:
+                share = left / (left - after)
+                r[kept, 0] = p[s, 0] + share * (p[t, 0] - p[s, 0])
+                r[kept, 1] = p[s, 1] + share * (p[t, 1] - p[s, 1])
+                kept += 1
+        count = kept
+        for s in range(count):
+            p[s, 0], p[s, 1] = r[s, 0], r[s, 1]
         if count < 3:
-            continue
-        twice, mx, my = 0.0, 0.0, 0.0
-        for v in range(1, count - 1):
-            x1, y1 = p[v, 0] - p[0, 0], p[v, 1] - p[0, 1]
-            x2, y2 = p[v + 1, 0] - p[0, 0], p[v + 1, 1] - p[0, 1]
-            part = x1 * y2 - x2 * y1
-            twice += part
-            mx += part * (x1 + x2) / 3.0
-            my += part * (y1 + y2) / 3.0
-        if 0.5 * twice <= NONE * min(sa, sb):
-            continue
-        mx, my = p[0, 0] + mx / twice, p[0, 1] + my / twice
-        # Heights of both facets above the middle.
-        ha, hb, na, nb = 0.0, 0.0, 0.0, 0.0
-        for m in range(3):
-            y = ca[m] + mx * e[0, m] + my * e[1, m]
-            ha += a[m] * (ca[m] - y)
-            hb += b[m] * (cb[m] - y)
-            na += a[m] * n[m]
-            nb += b[m] * n[m]
-            at[s, m] = y
-            across[s, m] = y
-        for m in range(3):
-            at[s, m] += ha / na * n[m]
-            across[s, m] += hb / nb * n[m]
-            normal[s, m] = n[m]
-        gap[s] = ha / na - hb / nb
-        area[s] = 0.5 * twice
+            return
+    twice = 0.0 * p[0, 0]
+    mx, my = twice, twice
+    for s in range(1, count - 1):
+        x1, y1 = p[s, 0] - p[0, 0], p[s, 1] - p[0, 1]
+        x2, y2 = p[s + 1, 0] - p[0, 0], p[s + 1, 1] - p[0, 1]
+        part = x1 * y2 - x2 * y1
+        twice += part
+        mx += part * (x1 + x2) / 3.0
+        my += part * (y1 + y2) / 3.0
+    if 0.5 * twice.real <= NONE * min(sa.real, sb.real):
+        return
+    mx, my = p[0, 0] + mx / twice, p[0, 1] + my / twice
+    at[k] = mx * ek + my * fk
+    at[m1] = mx * e1 + my * f1
+    at[m2] = my * f2
+    # Heights of both facets above the middle.
+    ha, hb, na, nb = 0.0 * mx, 0.0 * mx, 0.0 * mx, 0.0 * mx
+    for m in range(3):
+        ha -= a[m] * at[m]
+        hb += b[m] * (cb[m] - ca[m] - at[m])
+        na += a[m] * n[m]
+        nb += b[m] * n[m]
+    ha, hb = ha / na, hb / nb
+    q[AREA], q[GAP] = 0.5 * twice, ha - hb
+    for m in range(3):
+        q[NORMAL + m] = n[m]
+    # a and b are not needed any more: the points on both facets, relative to their middles.
+    for m in range(3):
+        a[m] = at[m] + ha * n[m]
+        b[m] = at[m] + hb * n[m] + ca[m] - cb[m]
+    _undeformed(one, X, a, q[ONE:OTHER])
+    _undeformed(other, other_X, b, q[OTHER:QUANTITIES])
+
+
+@compiled
+def _undeformed(y, X, d, point):  # type: ignore[no-untyped-def]
+    """Compute the undeformed point that is at ``d`` from the mean of the deformed corners of a flat facet."""
+    aa, ab, bb, ad, bd = 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0]
+    for m in range(3):
+        a = 0.5 * (y[1, m] + y[2, m] - y[0, m] - y[3, m])
+        b = 0.5 * (y[2, m] + y[3, m] - y[0, m] - y[1, m])
+        aa += a * a
+        ab += a * b
+        bb += b * b
+        ad += a * d[m]
+        bd += b * d[m]
+    det = aa * bb - ab * ab
+    along, across = (bb * ad - ab * bd) / det, (aa * bd - ab * ad) / det
+    for m in range(3):
+        middle = 0.25 * (X[0, m] + X[1, m] + X[2, m] + X[3, m])
+        a = 0.5 * (X[1, m] + X[2, m] - X[0, m] - X[3, m])
+        b = 0.5 * (X[2, m] + X[3, m] - X[0, m] - X[1, m])
+        point[m] = middle + along * a + across * b
 
 
 @compiled
@@ -131,15 +190,12 @@ def _plane(corners, middle, normal):  # type: ignore[no-untyped-def]
     """Compute the mean of four corners (4, 3) and the unit normal of their facet; return its area."""
     for m in range(3):
         middle[m] = 0.25 * (corners[0, m] + corners[1, m] + corners[2, m] + corners[3, m])
-    size = 0.0
-    for m in range(3):
         m1, m2 = (m + 1) % 3, (m + 2) % 3
         normal[m] = 0.5 * (
             (corners[2, m1] - corners[0, m1]) * (corners[3, m2] - corners[1, m2])
             - (corners[2, m2] - corners[0, m2]) * (corners[3, m1] - corners[1, m1])
         )
-        size += normal[m] * normal[m]
-    size = np.sqrt(size)
+    size = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
     for m in range(3):
         normal[m] /= size
     return size

@@ -305,10 +305,10 @@ class Problem:
             self.last_step.commit(state)
         self._converged = state.t
 
-    def begin(self, state: State) -> None:
+    def start_from(self, state: State) -> None:
         """Prepare the terms for solves or time steps that start from a state."""
         for term in self.terms:
-            term.begin(state)
+            term.start_from(state)
 
     @property
     def pattern(self) -> int:

@@ -200,7 +200,7 @@ class Term(ABC):
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
         """Update after bonds have lost or regained force; if ``rebuild``, after bonds have broken or mended."""
 
-    def begin(self, state: State) -> None:  # noqa: B027
+    def start_from(self, state: State) -> None:  # noqa: B027
         """Prepare for solves or time steps that start from a state."""
 
     def follow(self, state: State) -> bool:

@@ -323,7 +323,7 @@ class Equilibrium:
         self.norms, self.reason, self._start, self._moved = [], "", u, (0.0, 0.0)
         if self.problem.springs is not None:
             self.problem.springs.hold(u)
-        self.problem.begin(self.problem.state(u, self.t))
+        self.problem.start_from(self.problem.state(u, self.t))
         renewed = self.tangent.renew()
         state = self.problem.state(u, self.t)
         force = self.problem.internal_force(state)

@@ -98,7 +98,10 @@ class RelaxationSolver(LoadStepSolver):
         """Integrate from ``u`` to rest under the conditions at load parameter ``t`` (collective)."""
         self.t = t
         self._prescribed = self.problem.supports.prescribed(t)
+        self.problem.start_from(self.problem.state(u, t))
         unknowns, result = self._relax(np.where(self._free, u, self._prescribed))
+        while result.converged and self.problem.follow(self.problem.state(self._completed(unknowns), t)):
+            unknowns, result = self._relax(unknowns)
         return self._completed(unknowns), result
 
     def _relax(self, start: Float) -> tuple[Float, StepResult]:

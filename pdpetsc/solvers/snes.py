@@ -145,7 +145,7 @@ class SnesSolver(StepSolver):
         return np.asarray(x.array_r[: self._n_u] * self._scales.length)
 
     def _rested(self) -> tuple[bool, int]:
-        """Solve again with moved springs, facets that touch now and new multipliers, until none of these moves the body.
+        """Solve again with moved springs, other near facets and new multipliers, until none of these moves the body.
 
         Return True if forces balance without the springs, the contacts have settled and no term objects to the step,
         and the linear iterations.

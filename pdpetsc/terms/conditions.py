@@ -39,8 +39,8 @@ from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
-from pdpetsc.terms.centrifugal import CentrifugalForce
 from pdpetsc.terms.body_contact import BodyContactForces
+from pdpetsc.terms.centrifugal import CentrifugalForce
 from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.facet_contact import STIFFNESS

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError
@@ -64,20 +64,24 @@ class ContactForces(FacetContact):
         self.works = self._mu > 0.0 or not declared.tool.rests
         self._x, area = facets.x, np.linalg.norm(facets.area, axis=1)
         self._at = Points(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
-        # Displacements as seen from the tool at the last converged step.
-        self._slid = np.zeros_like(self._x)
+        # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
+        self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
         deepest = self._off(rest)
         if deepest > OVERLAP * spacing:
             raise CaseError(f"{title} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch.")
 
     @property
-    def _points(self) -> Points:
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
+        """Return the members of the facets (not collective)."""
+        return self._at.stencils.point_ptr, self._at.stencils.members
+
+    def _points(self, state: State) -> Points:
         return self._at
 
     @property
     def _areas_of_particles(self) -> Float:
-        return np.bincount(self._owner, self._at.area, self.body.cloud.n_owned)
+        return np.bincount(self._owner, self._at.area, self.body.cloud.n_owned).astype(float)
 
     def _seen(self, state: State) -> tuple[Float, Float]:
         """Compute the displacements of the facets as seen from the tool, and its rotation (collective)."""
@@ -88,15 +92,26 @@ class ContactForces(FacetContact):
 
         return state.kept((self, "seen"), make)
 
-    def _gap(self, state: State) -> tuple[Float, Float, Float]:
+    def _distance(self, state: State) -> tuple[Float, Float, Float]:
+        """Compute gap, normal and curvature of the facets as seen from the tool (collective)."""
         moved = self._seen(state)[0]
         return state.kept((self, "gap"), lambda: self._tool.gap(self._x, moved))
+
+    def _gap(self, state: State) -> tuple[Float, Float]:
+        return self._distance(state)[:2]
 
     def _slip(self, state: State) -> Float:
         return self._seen(state)[0] - self._slid
 
     def _rotation(self, state: State) -> Float:
         return self._seen(state)[1]
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return the blocks of the facets in contact."""
+        touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._distance(state)
+        n, H = n[touching.rows], H[touching.rows]
+        blocks = -touching.by_gap[:, :, None] * n[:, None, :] - touching.by_normal @ H - touching.by_slip
+        return [self._at.product(self.body.cloud.n_owned, touching.rows, R @ blocks @ R.T)]
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return the blocks of all facets as if they were pressed and stuck."""
@@ -108,7 +123,7 @@ class ContactForces(FacetContact):
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
         title = self._title[0].lower() + self._title[1:]
         tool, t0 = self._tool, state.clock.before
-        g, n, _ = self._gap(state)
+        g, n = self._gap(state)
         start, end = tool.absolute(self._x, self._slid, t0), tool.absolute(self._x, self._seen(state)[0], state.t)
         through = np.zeros(len(g), dtype=bool)
         for share in np.arange(1, PLACES) / PLACES:
@@ -124,8 +139,11 @@ class ContactForces(FacetContact):
     def commit(self, state: State) -> None:
         """Store tangential tractions, multipliers and displacements; raise SolveError if the tool is too deep."""
         super().commit(state)
-        self._slid[:] = self._seen(state)[0]
+        self._slid_end[:] = self._seen(state)[0]
+
+    def _step_from(self, state: State) -> None:
+        self._slid[:] = self._slid_end
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""
-        return {**super().arrays(), f"{self._name}_slid": KeptArray(self._owner, self._slid)}
+        return {**super().arrays(), f"{self._name}_slid": KeptArray(self._owner, self._slid_end)}

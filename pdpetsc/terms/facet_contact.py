@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import Product, RankOneProduct
+from pdpetsc.gradient.products import RankOneProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -30,11 +30,23 @@ OVERLAP = 1e-6
 
 
 class Touching(NamedTuple):
-    """Store tractions (m, dim) [stress] at the points in contact, and minus their derivatives (m, dim, dim)."""
+    """Store the tractions at the points in contact, and their derivatives.
+
+    Attributes
+    ----------
+    rows : (m,) int64
+        The points in contact.
+    traction : (m, dim) float64
+        [stress].
+    by_gap, by_normal, by_slip : (m, dim), (m, dim, dim), (m, dim, dim) float64
+        Derivatives by the gap [stress / length], the normal [stress] and the slip [stress / length].
+    """
 
     rows: GlobalIndex
     traction: Float
-    blocks: Float
+    by_gap: Float
+    by_normal: Float
+    by_slip: Float
 
 
 class ContactProduct(RankOneProduct):
@@ -82,7 +94,7 @@ class Points(NamedTuple):
     area : (n_points,) float64
         Area that each stands for [area].
     of : (n_points,) int64
-        Number of its multiplier, ascending.
+        Number of the multiplier of each, ascending.
     stencils : StencilMembers
         Particles of which the relative displacement of each point is composed.
     weights : (n_entries,) float64
@@ -106,6 +118,12 @@ class Points(NamedTuple):
         of = np.repeat(np.arange(len(self.area)), np.diff(self.stencils.point_ptr))
         np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
 
+    def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:
+        """Compute the mean of values of points (n_points,) for each of n multipliers, 0 where there is no point."""
+        weight = self.area * counted
+        sums, whole = (np.bincount(self.of, of, n) for of in (weight * values, weight))
+        return np.asarray(sums / np.where(whole > 0.0, whole, 1.0))
+
     def product(self, n_owned: int, rows: GlobalIndex, stiffness: Float) -> ContactProduct:
         """Return the tangent of some points with blocks (m, dim, dim) [stress / length]."""
         entry, ptr = entries_of(self.stencils.point_ptr, rows)
@@ -125,7 +143,7 @@ class FacetContact(Term):
     body : Body
         Particles with their surface.
     owner : (n,) int32
-        Own particle of each multiplier, ascending. There is at most one point of contact for each.
+        Own particle of each multiplier, ascending.
     friction : float
         ``mu`` [-].
     stiffness : float
@@ -152,19 +170,23 @@ class FacetContact(Term):
         self._mu, self._c, self._spacing, self._allowed = friction, stiffness, spacing, penetration * spacing
         self.symmetric = friction == 0.0
         self._owner = owner
-        # At the last converged step: tangential tractions and multipliers.
-        self._tau, self._p0 = np.zeros((len(owner), body.dim)), np.zeros(len(owner))
-        # Multipliers of the current solve.
+        # Tangential tractions at the start of this step, and at its end after it has converged.
+        self._tau, self._tau_end, self._ended = (
+            np.zeros((len(owner), body.dim)),
+            np.zeros((len(owner), body.dim)),
+            False,
+        )
+        # Multipliers of the last converged step, and of the current solve.
+        self._p0 = np.zeros(len(owner))
         self._p = self._p0.copy()
 
-    @property
     @abstractmethod
-    def _points(self) -> Points:
-        """Return the points of contact."""
+    def _points(self, state: State) -> Points:
+        """Return the points of contact (collective)."""
 
     @abstractmethod
-    def _gap(self, state: State) -> tuple[Float, Float, Float]:
-        """Compute gap [length], normal and curvature [1 / length] of the points (collective)."""
+    def _gap(self, state: State) -> tuple[Float, Float]:
+        """Compute gaps (n_points,) [length] and normals (n_points, dim) of the points (collective)."""
 
     @abstractmethod
     def _slip(self, state: State) -> Float:
@@ -177,82 +199,74 @@ class FacetContact(Term):
         """Return the rotation from the axes of normals and tractions to those of space (collective)."""
         return np.eye(self.body.dim)
 
-    @property
-    def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
-        """Return the members of the points (not collective)."""
-        return self._points.stencils.point_ptr, self._points.stencils.members
-
     def _touching(self, state: State) -> Touching:
         """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
-        gap, slip = self._gap(state), self._slip(state)
-        return state.kept((self, "touching", self.version), lambda: self._tractions(slip, *gap))
+        of, gap, slip = self._points(state).of, self._gap(state), self._slip(state)
+        return state.kept((self, "touching", self.version), lambda: self._tractions(of, slip, *gap))
 
-    def _tractions(self, slip: Float, g: Float, n: Float, H: Float) -> Touching:
-        of = self._points.of
+    def _tractions(self, of: GlobalIndex, slip: Float, g: Float, n: Float) -> Touching:
         pressure = self._p[of] - self._c * g
         rows = np.flatnonzero(pressure > 0.0)
-        n, H, p = n[rows], H[rows], pressure[rows]
-        nn = n[:, :, None] * n[:, None, :]
-        traction = p[:, None] * n
-        # Minus the derivative of p n.
-        blocks = self._c * nn - p[:, None, None] * H
+        n, p, one = n[rows], pressure[rows], np.eye(self.body.dim)
+        traction, by_gap, by_normal = p[:, None] * n, -self._c * n, p[:, None, None] * one
+        by_slip = np.zeros_like(by_normal)
         if self._mu > 0.0:
             along = self._tau[of[rows]] - STICKING * self._c * slip[rows]
-            across = np.eye(self.body.dim) - nn
+            across = one - n[:, :, None] * n[:, None, :]
             trial = np.einsum("pij,pj->pi", across, along)
             size = np.linalg.norm(trial, axis=1)
-            # Derivative of the trial, which turns with the normal.
-            turned = (n * along).sum(axis=1)[:, None, None] * H
-            turned = turned + n[:, :, None] * np.einsum("pij,pj->pi", H, along)[:, None, :]
-            by = STICKING * self._c * across + turned
+            turned = -(n * along).sum(axis=1)[:, None, None] * one - n[:, :, None] * along[:, None, :]
             slides = size > self._mu * p
             e = trial / np.where(size > 0.0, size, 1.0)[:, None]
             share = np.where(slides, self._mu * p / np.where(size > 0.0, size, 1.0), 1.0)
-            sliding = np.einsum("pij,pjk->pik", np.eye(self.body.dim) - e[:, :, None] * e[:, None, :], by)
-            sliding = share[:, None, None] * sliding + self._mu * self._c * e[:, :, None] * n[:, None, :]
-            blocks = blocks + np.where(slides[:, None, None], sliding, by)
+            # Derivative of the traction by the trial.
+            kept = one - np.where(slides[:, None, None], e[:, :, None] * e[:, None, :], 0.0)
+            kept = share[:, None, None] * kept
             traction = traction + share[:, None] * trial
-        return Touching(rows, traction, blocks)
+            by_gap = by_gap - np.where(slides, self._mu * self._c, 0.0)[:, None] * e
+            by_normal = by_normal + kept @ turned
+            by_slip = -STICKING * self._c * kept @ across
+        return Touching(rows, traction, by_gap, by_normal, by_slip)
 
-    def _in_space(self, state: State) -> Touching:
-        """Compute the tractions at the points in contact (collective)."""
-        touching, R = self._touching(state), self._rotation(state)
-        return Touching(touching.rows, touching.traction @ R.T, R @ touching.blocks @ R.T)
+    def _in_space(self, state: State) -> Float:
+        """Compute the tractions at the points in contact (m, dim) [stress] (collective)."""
+        return np.asarray(self._touching(state).traction @ self._rotation(state).T)
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the contact."""
-        touching, points = self._in_space(state), self._points
+        rows, points = self._touching(state).rows, self._points(state)
         force = np.zeros((len(points.area), self.body.dim))
-        force[touching.rows] = points.area[touching.rows, None] * touching.traction
+        force[rows] = points.area[rows, None] * self._in_space(state)
         points.spread(force, f)
-
-    def linearise(self, state: State) -> Sequence[Product]:
-        """Return the blocks of the points in contact."""
-        touching = self._in_space(state)
-        return [self._points.product(self.body.cloud.n_owned, touching.rows, touching.blocks)]
 
     def energy(self, state: State) -> float:
         """Return ``sum_p A_p ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""
-        touching, n, area = self._touching(state), self._gap(state)[1], self._points.area
+        touching, n, points = self._touching(state), self._gap(state)[1], self._points(state)
         p = (touching.traction * n[touching.rows]).sum(axis=1)
         tau = (touching.traction**2).sum(axis=1) - p**2
-        stored = area[touching.rows] @ (p**2 + tau / STICKING) - area @ self._p[self._points.of] ** 2
+        stored = points.area[touching.rows] @ (p**2 + tau / STICKING) - points.area @ self._p[points.of] ** 2
         return float(stored / (2.0 * self._c))
 
+    def _pressures(self, state: State) -> Float:
+        """Compute the mean pressure of the points of each multiplier [stress] (collective)."""
+        points = self._points(state)
+        p = np.maximum(self._p[points.of] - self._c * self._gap(state)[0], 0.0)
+        return points.mean(p, len(self._owner))
+
     def _off(self, state: State) -> float:
-        """Compute the violation ``|min(g, p / c)|`` of ``g >= 0, p >= 0, g p = 0`` [length] (collective)."""
-        g = self._gap(state)[0]
-        p = np.maximum(self._p[self._points.of] - self._c * g, 0.0)
-        off = np.where(g < 0.0, -g, np.minimum(g, p / self._c))
+        """Compute the violation ``|min(g, p / c)|`` of ``g >= 0, p >= 0, g p = 0`` [length] (collective).
+
+        With the mean pressure p of the points of a multiplier, and ``g = (p0 - p) / c``.
+        """
+        p = self._pressures(state)
+        off = np.minimum(np.abs(p - self._p), p) / self._c
         return largest(self.body.cloud.comm, float(off.max(initial=0.0)))
 
     def update_multipliers(self, state: State) -> bool:
-        """Make the pressures the multipliers; return False if no facet penetrates or is pressed from afar."""
+        """Make the pressures the multipliers; return False if no point penetrates or is pressed from afar."""
         if self._off(state) <= self._allowed:
             return False
-        of = self._points.of
-        p, self._p = np.maximum(self._p[of] - self._c * self._gap(state)[0], 0.0), np.zeros(len(self._owner))
-        self._p[of] = p
+        self._p = self._pressures(state)
         self.version += 1
         return True
 
@@ -271,12 +285,26 @@ class FacetContact(Term):
             )
         self._p0[:] = self._p
         if self._mu > 0.0:
-            touching, n = self._touching(state), self._gap(state)[1]
+            touching, n, points = self._touching(state), self._gap(state)[1], self._points(state)
             normal = n[touching.rows]
             along = (touching.traction * normal).sum(axis=1)[:, None] * normal
-            self._tau[:] = 0.0
-            self._tau[self._points.of[touching.rows]] = touching.traction - along
+            tau, pressed = np.zeros((len(points.area), self.body.dim)), np.zeros(len(points.area))
+            tau[touching.rows], pressed[touching.rows] = touching.traction - along, 1.0
+            for axis, values in enumerate(tau.T):
+                self._tau_end[:, axis] = points.mean(values, len(self._owner), pressed)
+        self._ended = True
+
+    def start_from(self, state: State) -> None:
+        """Continue with the tractions at the end of the last step."""
+        if self._ended:
+            self._ended = False
+            self._tau[:] = self._tau_end
+            self._step_from(state)
             self.version += 1
+
+    @abstractmethod
+    def _step_from(self, state: State) -> None:
+        """Measure slip from the last converged step on (collective)."""
 
     @property
     def has_history(self) -> bool:
@@ -285,12 +313,13 @@ class FacetContact(Term):
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions of friction, at the last converged step."""
-        found = {"p": self._p0} | ({"tau": self._tau} if self._mu > 0.0 else {})
+        found = {"p": self._p0} | ({"tau": self._tau_end} if self._mu > 0.0 else {})
         return {f"{self._name}_{of}": KeptArray(self._owner, values) for of, values in found.items()}
 
     def restored(self) -> None:
-        """Continue with the multipliers of a checkpoint."""
+        """Continue with the multipliers and tractions of a checkpoint."""
         self.revert_multipliers()
+        self._ended = True
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
         """Return the force on the facets by component, the area in contact, and the violation of the gap."""
@@ -298,8 +327,8 @@ class FacetContact(Term):
 
         def component(axis: int) -> Callable[[State], float]:
             def force(state: State) -> float:
-                touching = self._in_space(state)
-                return float(self._points.area[touching.rows] @ touching.traction[:, axis])
+                rows, area = self._touching(state).rows, self._points(state).area
+                return float(area[rows] @ self._in_space(state)[:, axis])
 
             return force
 
@@ -309,7 +338,7 @@ class FacetContact(Term):
             return off if comm.rank == 0 else 0.0
 
         found = {f"{self._name}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
-        found[f"{self._name}_area"] = lambda state: float(self._points.area[self._touching(state).rows].sum())
+        found[f"{self._name}_area"] = lambda state: float(self._points(state).area[self._touching(state).rows].sum())
         return found | {f"{self._name}_depth": depth}
 
     def of_facets(self, state: State) -> tuple[Float, Float, Float]:
@@ -317,17 +346,17 @@ class FacetContact(Term):
 
         (m, dim) [length], (m, dim) [stress] and (m,) [area]. Positions are those in the undeformed body.
         """
-        touching, points = self._in_space(state), self._points
-        return points.x[touching.rows], touching.traction, points.area[touching.rows]
+        rows, points = self._touching(state).rows, self._points(state)
+        return points.x[rows], self._in_space(state), points.area[rows]
 
     def fields(self) -> Mapping[str, Callable[[State], Float]]:
         """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
 
         def traction(state: State) -> Float:
-            touching, points = self._in_space(state), self._points
+            rows, points = self._touching(state).rows, self._points(state)
             owner = points.stencils.owner
             values = np.zeros((self.body.cloud.n_owned, self.body.dim))
-            np.add.at(values, owner[touching.rows], points.area[touching.rows, None] * touching.traction)
+            np.add.at(values, owner[rows], points.area[rows, None] * self._in_space(state))
             area = self._areas_of_particles
             return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -12,7 +14,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, exchange, largest, total
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.overlap import overlap
+from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES, overlap, overlap_by_corners
 from pdpetsc.problem.body import Body
 
 # Facets face each other if the cosine of the angle between one normal and minus the other exceeds this.
@@ -21,8 +23,6 @@ FACING = 0.5
 PER_PARTICLE = 256
 # Facets of one particle are one part of the surface if the cosine of the angle between their normals exceeds this.
 ALIKE = 0.8
-# Moments of the corners of a facet below this share of the largest are zero.
-FLAT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,14 @@ class Side:
     @property
     def sizes(self) -> Float:
         """Return the largest distance of a corner from the centroid (n,) [length]."""
-        dim = self.x.shape[1]
-        return np.asarray(np.linalg.norm(self.corners[:, :, :dim] - self.x[:, None], axis=2).max(axis=1))
+        return np.asarray(np.linalg.norm(self.offsets[:, :, : self.x.shape[1]], axis=2).max(axis=1))
+
+    @cached_property
+    def offsets(self) -> Float:
+        """Return the corners relative to the centroids (n, 4, 3) [length]."""
+        found = self.corners.copy()
+        found[:, :, : self.x.shape[1]] -= self.x[:, None]
+        return found
 
     @property
     def parts(self) -> GlobalIndex:
@@ -89,10 +95,13 @@ class Side:
             alike = (normal[left] * normal[left[first[of]]]).sum(axis=1) > ALIKE
             number[left[alike]] = kind
             left, kind = left[~alike], kind + 1
-        return np.unique(self.owner.astype(np.int64) * max(kind, 1) + number, return_inverse=True)[1]
+        return np.asarray(np.unique(self.owner.astype(np.int64) * max(kind, 1) + number, return_inverse=True)[1])
 
-    def displaced(self, u: Float) -> Float:
-        """Compute the displacements of the corners (n, 4, dim) for displacements of local particles (n_local, dim)."""
+    def fields(self, u: Float) -> tuple[Float, Float]:
+        """Compute displacements (n, dim) and displacement gradients (n, dim, dim) of the facets.
+
+        ``u`` (n_local, dim) are those of local particles.
+        """
         n, dim = self.x.shape
         of, at = np.repeat(np.arange(n), np.diff(self.ptr)), u[self.members]
         moved = np.stack([np.bincount(of, self.N * along, n) for along in at.T], axis=1)
@@ -100,26 +109,53 @@ class Side:
         for i in range(dim):
             for k in range(dim):
                 gradient[:, i, k] = np.bincount(of, at[:, i] * self.G[:, k], n)
-        return moved[:, None] + np.einsum("fik,fck->fci", gradient, self.corners[:, :, :dim] - self.x[:, None])
+        return moved.astype(float), gradient
 
-    def weights_at(self, rows: GlobalIndex, y: Float, corners: Float) -> tuple[GlobalIndex, LocalIndex, Float, Float]:
-        """Compute the weights of the points that are at ``y`` (n, dim) on facets with deformed ``corners`` (n, 4, dim).
+    def deformed(self, u: Float) -> Float:
+        """Compute the deformed corners (n, 4, 3) [length]."""
+        dim, y = self.x.shape[1], self.corners.copy()
+        moved, gradient = self.fields(u)
+        y[:, :, :dim] += moved[:, None] + np.einsum("fik,fck->fci", gradient, self.offsets[:, :, :dim])
+        return y
 
-        Returns
-        -------
-        ptr, members, weights, X
-            Particles of each point, their weights [-], and where the points are in the undeformed body (n, dim).
-        """
-        dim = y.shape[1]
-        middle = corners.mean(axis=1)
-        apart = corners - middle[:, None]
-        moments = np.einsum("nci,ncj->nij", apart, apart)
-        share = np.einsum("nci,nij,nj->nc", apart, np.linalg.pinv(moments, rcond=FLAT, hermitian=True), y - middle)
-        X = np.einsum("nc,nci->ni", 0.25 + share, self.corners[rows][:, :, :dim])
+    def ends(self, rows: GlobalIndex, points: Float) -> Ends:
+        """Return the particles that points (n, dim), relative to the centroids, on facets ``rows`` (n,) move with."""
+        dim = self.x.shape[1]
         entry, ptr = entries_of(self.ptr, rows)
         of = np.repeat(np.arange(len(rows)), np.diff(ptr))
-        offset = X - self.x[rows]
-        return ptr, self.members[entry], self.N[entry] + (self.G[entry] * offset[of]).sum(axis=1), X
+        N, G = self.N[entry], self.G[entry]
+        offsets = self.offsets[rows][:, : _CORNERS[dim], :dim]
+        corners = N[:, None] + np.einsum("ej,ecj->ec", G, offsets[of])
+        return Ends(ptr, self.members[entry], of, N + (G * points[of]).sum(axis=1), G, corners)
+
+
+class Ends(NamedTuple):
+    """Store the particles with which points on facets move, point by point.
+
+    Attributes
+    ----------
+    ptr : (n + 1,) int64
+        Start of the particles of each point.
+    members, of : (n_entries,) int
+        Local particles, and the point of each.
+    weights : (n_entries,) float64
+        Weights of their displacements at the point [-].
+    G : (n_entries, dim) float64
+        Derivatives of the weights by the point [1 / length].
+    corners : (n_entries, k) float64
+        Weights of their displacements at the corners of the facet [-].
+    """
+
+    ptr: GlobalIndex
+    members: LocalIndex
+    of: GlobalIndex
+    weights: Float
+    G: Float
+    corners: Float
+
+
+# Corners of a facet whose displacements differ.
+_CORNERS = {2: 2, 3: 4}
 
 
 @dataclass(frozen=True)
@@ -128,23 +164,25 @@ class Pairs:
 
     Attributes
     ----------
-    one, other : (n,) int64
+    rows, other_rows : (n,) int64
         Facets of both sides.
     area, gap : (n,) float64
         Area of the overlap [area], and distance [length].
-    at, across, normal : (n, dim) float64
-        Middle of the overlap on both facets [length], and the mean normal, from the other to the one.
+    normal : (n, dim) float64
+        Mean normal, from the other to the one.
+    one, other : (n, dim) float64
+        The middle of the overlap on both facets in the undeformed body, relative to their centroids [length].
     """
 
-    one: GlobalIndex
-    other: GlobalIndex
+    rows: GlobalIndex
+    other_rows: GlobalIndex
     area: Float
     gap: Float
-    at: Float
-    across: Float
     normal: Float
+    one: Float
+    other: Float
 
-    def chosen(self, mask: Mask) -> Pairs:
+    def chosen(self, mask: Mask | GlobalIndex) -> Pairs:
         """Return some of the pairs."""
         return Pairs(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
 
@@ -183,9 +221,7 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
     return mine, theirs, theirs if cloud.comm.size == 1 else _received(cloud, mine, theirs, reach)
 
 
-def _side(
-    surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Mask, both: Mask, depth: float
-) -> Side:
+def _side(surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Mask, both: Mask, depth: float) -> Side:
     rows = np.flatnonzero(mask)
     rows = rows[np.argsort(key[rows])]
     rows = rows[np.argsort(surface.owner[rows], kind="stable")]
@@ -244,7 +280,7 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
     entry, ptr = entries_of(theirs.ptr, rows)
     size = np.diff(ptr)
     facets = [theirs.x[rows], theirs.corners[rows], theirs.key[rows], theirs.both[rows], size]
-    (x, corners, key, both, size), counts = exchange(comm, rank, facets)
+    (x, corners, key, both, size), _ = exchange(comm, rank, facets)
     of = cloud.order[theirs.members[entry]], theirs.N[entry], theirs.G[entry]
     (members, N, G), _ = exchange(comm, np.repeat(rank, np.diff(ptr)), list(of))
     ptr = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
@@ -263,9 +299,7 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
 
 
 class Search:
-    """Find the facets of both sides that overlap.
-
-    Near facets are searched again only after the sides have moved by more than ``slack``.
+    """Find the facets of both sides that overlap, among those that were near at the last search.
 
     Parameters
     ----------
@@ -291,41 +325,58 @@ class Search:
         self.near = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         self.version = 0
 
-    def pairs(self, u: Float) -> Pairs:
-        """Return the pairs that overlap for displacements of local particles (n_local, dim) (collective)."""
-        moved = self.one.displaced(u), self.other.displaced(u)
-        comm = self._cloud.comm
+    def renew(self, u: Float) -> bool:
+        """Search near facets if the sides have moved too far since the last search; return True then (collective).
+
+        ``u`` (n_local, dim) are the displacements of local particles.
+        """
+        y = self.one.deformed(u), self.other.deformed(u)
         room = -1.0
         if self._found_at is not None:
-            apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(moved, self._found_at, strict=True)]
+            apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(y, self._found_at, strict=True)]
             room = self._slack - float(np.sqrt(self._cloud.dim) * sum(apart))
-        if int(total(comm, int(room < 0.0))):
-            # As far again as is necessary, so that the next pairs do not require a search.
-            self.near, self._found_at = self._within(moved, 2.0 * self._slack), moved
-            self.version += 1
-        return self._overlapping(moved, *self.near)
+        if int(total(self._cloud.comm, int(room < 0.0))) == 0:
+            return False
+        # Twice as far as is necessary, so that the next states do not require a search.
+        self.near, self._found_at = self._within(y, 2.0 * self._slack), y
+        self.version += 1
+        return True
+
+    def pairs(self, u: Float) -> Pairs:
+        """Return the near pairs that overlap (not collective)."""
+        return self._overlapping((self.one.deformed(u), self.other.deformed(u)), *self.near)
 
     def passed(self, u: Float, slack: float) -> Pairs:
-        """Return the pairs that overlap, of facets that were nearer than ``slack`` [length] (not collective)."""
-        moved = self.one.displaced(u), self.other.displaced(u)
-        return self._overlapping(moved, *self._within(moved, slack))
+        """Return the pairs that overlap of facets nearer than ``slack`` [length] (not collective)."""
+        y = self.one.deformed(u), self.other.deformed(u)
+        return self._overlapping(y, *self._within(y, slack))
 
-    def _overlapping(self, moved: tuple[Float, Float], one: GlobalIndex, other: GlobalIndex) -> Pairs:
-        dim, corners = self._cloud.dim, []
-        for side, displaced, rows in zip((self.one, self.other), moved, (one, other), strict=True):
-            at = side.corners[rows]
-            at[:, :, :dim] += displaced[rows]
-            corners.append(at)
-        n = len(one)
-        area, gap = np.empty(n), np.zeros(n)
-        at, across, normal = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-        overlap(*corners, FACING, area, at, across, normal, gap)
-        found = Pairs(one, other, self.one.depth * area, gap, at[:, :dim], across[:, :dim], normal[:, :dim])
-        return found.chosen(area > 0.0)
+    def by_corners(self, u: Float, pairs: Pairs) -> Float:
+        """Compute the derivatives of area, gap, normal and both points of pairs by their corners (not collective).
 
-    def _within(self, moved: tuple[Float, Float], slack: float) -> tuple[GlobalIndex, GlobalIndex]:
+        Returns
+        -------
+        (n_pairs, 11, 2 k dim) float64
+            As of ``overlap_by_corners``.
+        """
+        dim = self._cloud.dim
+        J = np.empty((len(pairs.rows), QUANTITIES, 2 * _CORNERS[dim] * dim))
+        y = self.one.deformed(u), self.other.deformed(u)
+        overlap_by_corners(*y, self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, dim, J)
+        J[:, AREA] *= self.one.depth
+        return J
+
+    def _overlapping(self, y: tuple[Float, Float], one: GlobalIndex, other: GlobalIndex) -> Pairs:
+        dim, q = self._cloud.dim, np.zeros((len(one), QUANTITIES))
+        overlap(*y, self.one.offsets, self.other.offsets, one, other, FACING, q)
+        kept = q[:, AREA] > 0.0
+        q = q[kept]
+        vectors = (np.ascontiguousarray(q[:, at : at + dim]) for at in (NORMAL, ONE, OTHER))
+        return Pairs(one[kept], other[kept], self.one.depth * q[:, AREA], q[:, GAP], *vectors)
+
+    def _within(self, y: tuple[Float, Float], slack: float) -> tuple[GlobalIndex, GlobalIndex]:
         """Return the pairs of facets that are nearer than their sizes and ``slack`` allow, in order."""
-        here = [side.x + displaced.mean(axis=1) for side, displaced in zip((self.one, self.other), moved, strict=True)]
+        here = [corners.mean(axis=1)[:, : self._cloud.dim] for corners in y]
         if not (len(here[0]) and len(here[1])):
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         radius = self._sizes[0].max() + self._sizes[1].max() + slack

@@ -110,7 +110,7 @@ class ExplicitSolver(Solver):
                 u = preload(problem, u, lambda v: relaxed.solve(v, 0.0), self._stop)
             u = begin_motion(problem, u, first)
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
-        problem.begin(problem.state(u, start.t))
+        problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
         if inertia.damping_time > 0.0:
             rest = problem.state(np.zeros_like(u), 0.0)
@@ -229,6 +229,7 @@ class ExplicitSolver(Solver):
         """Move by one time step to load parameter ``t``; return the unknowns and the number of bonds that broke."""
         problem, inertia, fixed = self._problem, self._inertia, self._problem.supports.fixed
         n, held = len(inertia.mass), fixed[: len(inertia.mass)]
+        problem.start_from(problem.state(u, problem.converged))
         half = inertia.v + 0.5 * dt * inertia.a
         moved = u.copy()
         moved[:n] += dt * half

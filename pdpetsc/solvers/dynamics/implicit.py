@@ -103,7 +103,7 @@ class ImplicitSolver(StaticSolver):
                 u = preload(problem, u, self._equilibrate, self.stop)
             u = begin_motion(problem, u, self.steps.first)
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
-        problem.begin(problem.state(u, start.t))
+        problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
         self._begin_step(*(found := forces(problem, state)))
         balance.begin(state, *found, inertia.energy_of_free())

@@ -351,7 +351,8 @@ def gradients(x: Float, u: Float, held: Held) -> Float:
     distance, near = scipy.spatial.cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
     together = held.together(np.arange(n), near)
-    nearest = np.maximum(distance[:, :1], np.finfo(float).tiny)
+    # Particles of two bodies in touch may coincide.
+    nearest = np.where(distance > 0.0, distance, np.inf).min(axis=1, keepdims=True)
     weight = np.where(together, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
     xi, eta = ((x[near] - x[:, None])[..., axes] / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None])
     slope = np.zeros((n, dim, len(axes)))

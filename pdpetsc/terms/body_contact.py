@@ -16,21 +16,22 @@ from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.terms.facet_contact import OVERLAP, ContactProduct, FacetContact, Points
-from pdpetsc.terms.facing import Ends, Pairs, Search, sides_of
+from pdpetsc.terms.facing import Ends, Pairs, Search, both_ends, sides_of
 
 # Gap up to which facets form a pair, in spacings.
 NEAR = 0.5
 # Penetration beyond which facets that face each other have the material between them, in spacings.
-THROUGH = 0.5
+THROUGH = 0.9
 
 
 class BodyContactForces(FacetContact):
     """Compute the forces between facets of two parts of the surface that overlap.
 
     The points are the middles of the overlaps of the deformed facets. The facet of the one part feels ``A (p n + tau)``
-    at its point, the facet of the other the opposite force, with the area A of the overlap. All of these follow the
-    displacement. Which facets are near enough is held during a solve, since it determines the sparsity of the matrix;
-    ``follow`` updates it.
+    at its point, the facet of the other the opposite force, with the area A of the overlap. The pressure p is that of
+    the mean gap over all overlaps of the facets of one particle that look alike: on unlike curved surfaces the gap
+    differs from overlap to overlap. All of these follow the displacement. Which facets are near enough is held during a
+    solve, since it determines the sparsity of the matrix; ``follow`` updates it.
 
     Parameters
     ----------
@@ -45,9 +46,9 @@ class BodyContactForces(FacetContact):
 
     Notes
     -----
-    Without friction the tangent is its symmetric part. The rest is of the order of the penetration over the spacing:
-    the forces are the derivatives of an energy but for the change of the area times that energy. Construction and the
-    methods are collective.
+    The tangent is not symmetric, without friction by a share of the order of the pressure over the modulus of the body:
+    the forces are the derivatives of an energy but for the change of the area times that energy. Its symmetric part can
+    be indefinite where the equilibrium is stable. Construction and the methods are collective.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class BodyContactForces(FacetContact):
             body, mine.owner[first], declared.friction, stiffness, spacing, declared.penetration, f"A body of {name}",
             declared.name,
         )  # fmt: skip
+        self.symmetric = False
         self.works = self._mu > 0.0
         self._search = Search(cloud, mine, theirs, NEAR * spacing)
         # Displacements of local particles at the start of this step.
@@ -79,13 +81,9 @@ class BodyContactForces(FacetContact):
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
         """Return the members of all near facets (not collective)."""
-        (ptr, entry), (other_ptr, other_entry) = (
-            entries_of(side.ptr, rows)[::-1]
-            for side, rows in zip((self._search.one, self._search.other), self._search.near, strict=True)
-        )
-        joined, order = _joined(ptr, other_ptr)
-        members = np.concatenate([self._search.one.members[entry], self._search.other.members[other_entry]])
-        return joined, members[order]
+        pairs = self._search.near_pairs
+        ends = self._ends(pairs)
+        return ends.ptr, ends.members
 
     @property
     def _areas_of_particles(self) -> Float:
@@ -95,7 +93,8 @@ class BodyContactForces(FacetContact):
     def _formed(self, u: Float) -> Pairs:
         """Return the pairs of facets that may touch, for displacements of local particles (n_local, dim)."""
         pairs = self._search.pairs(u)
-        return pairs.chosen((pairs.gap > -THROUGH * self._spacing) & (pairs.gap < NEAR * self._spacing))
+        pairs = pairs.chosen((pairs.gap > -THROUGH * self._spacing) & (pairs.gap < NEAR * self._spacing))
+        return pairs.chosen(np.argsort(self._part[pairs.rows], kind="stable"))
 
     def _pairs(self, state: State) -> Pairs:
         u = state.u_local
@@ -106,24 +105,23 @@ class BodyContactForces(FacetContact):
         return state.kept((self, "points", self._search.version), lambda: self._joined_points(pairs))
 
     def _joined_points(self, pairs: Pairs) -> Points:
-        one, other, joined, order = self._ends(pairs)
-        members = np.concatenate([one.members, other.members])[order]
-        signed = np.concatenate([one.weights, -other.weights])[order]
-        stencils = StencilMembers(self._search.one.owner[pairs.rows], joined, members)
+        ends = self._ends(pairs)
+        stencils = StencilMembers(self._search.one.owner[pairs.rows], ends.ptr, ends.members)
         x = self._search.one.x[pairs.rows] + pairs.one
-        return Points(x, pairs.area, self._part[pairs.rows], stencils, signed)
+        return Points(x, pairs.area, self._part[pairs.rows], stencils, ends.weights)
 
-    def _ends(self, pairs: Pairs) -> tuple[Ends, Ends, GlobalIndex, GlobalIndex]:
-        """Return the particles of both points of pairs; where those of each pair begin, and the order of all."""
-        one, other = (
-            self._search.one.ends(pairs.rows, pairs.one),
-            self._search.other.ends(pairs.other_rows, pairs.other),
-        )
-        return one, other, *_joined(one.ptr, other.ptr)
+    def _ends(self, pairs: Pairs) -> Ends:
+        """Return the particles that both points of pairs move with."""
+        search = self._search
+        return both_ends(search.one.ends(pairs.rows, pairs.one), search.other.ends(pairs.other_rows, pairs.other))
 
     def _gap(self, state: State) -> tuple[Float, Float]:
         pairs = self._pairs(state)
         return pairs.gap, pairs.normal
+
+    def _felt(self, state: State) -> Float:
+        points = self._points(state)
+        return points.mean(self._gap(state)[0], len(self._owner))[points.of]
 
     def _slip(self, state: State) -> Float:
         if self._mu == 0.0:
@@ -132,67 +130,49 @@ class BodyContactForces(FacetContact):
         return state.kept((self, "slip", self.version), lambda: points.moved(u - self._before))
 
     def linearise(self, state: State) -> Sequence[Product]:
-        """Return the derivatives of forces, points and weights, without friction their symmetric part."""
+        """Return the derivatives of forces, points and weights."""
         touching, search = self._touching(state), self._search
         pairs, dim = self._pairs(state).chosen(touching.rows), self.body.dim
         J = search.by_corners(state.u_local, pairs)
-        points = J[:, ONE : ONE + dim], J[:, OTHER : OTHER + dim]
+        by_points = J[:, ONE : ONE + dim], J[:, OTHER : OTHER + dim]
         # The force of a pair is A t. It depends on the corners, and by slip on the displacements at both points.
         area, t = pairs.area[:, None, None], touching.traction
-        rates = touching.by_gap[:, :, None] * J[:, GAP, None] + touching.by_normal @ J[:, NORMAL : NORMAL + dim]
+        rates = touching.by_normal @ J[:, NORMAL : NORMAL + dim]
         if self._mu > 0.0:
             change = state.u_local - self._before
             slopes, other_slopes = search.one.fields(change)[1], search.other.fields(change)[1]
-            moved = slopes[pairs.rows] @ points[0] - other_slopes[pairs.other_rows] @ points[1]
+            moved = slopes[pairs.rows] @ by_points[0] - other_slopes[pairs.other_rows] @ by_points[1]
             rates = rates + touching.by_slip @ moved
         by_corners = np.asarray(area * rates + t[:, :, None] * J[:, AREA, None])
-        return [self._product(pairs, pairs.area[:, None] * t, by_corners, area * touching.by_slip, points)]
+        ends, owner = self._ends(pairs), search.one.owner[pairs.rows]
+        force, of_slip = pairs.area[:, None] * t, area * touching.by_slip
+        hs = [ends.weights[:, None] * axis for axis in np.eye(dim)]
+        gs = [ends.rates(by_corners[:, i]) + ends.weights[:, None] * of_slip[ends.of, i] for i in range(dim)]
+        # The weights depend on the points.
+        for side, by_point in enumerate(by_points):
+            hs += [ends.G[:, side, axis, None] * force[ends.of] for axis in range(dim)]
+            gs += [ends.rates(by_point[:, axis]) for axis in range(dim)]
+        # The pressure of all pairs of a part depends on their mean gap.
+        part, first, number = np.unique(self._part[pairs.rows], return_index=True, return_inverse=True)
+        whole = np.bincount(number, pairs.area, len(part))[number]
+        off = pairs.gap - self._felt(state)[touching.rows]
+        by_mean = (pairs.area / whole)[:, None] * J[:, GAP] + (off / whole)[:, None] * J[:, AREA]
+        h = ends.weights[:, None] * (pairs.area[:, None] * touching.by_pressure)[ends.of]
+        of_parts = ends.ptr[np.append(first, len(owner))]
+        return [
+            self._product(StencilMembers(owner, ends.ptr, ends.members), hs, gs),
+            self._product(StencilMembers(owner[first], of_parts, ends.members), [h], [-self._c * ends.rates(by_mean)]),
+        ]
 
-    def _product(
-        self, pairs: Pairs, force: Float, by_corners: Float, by_slip: Float, points: tuple[Float, Float]
-    ) -> RankOneProduct:
-        """Return minus the derivative of forces ``w_k F`` with ``w_k = N_k + G_k . X`` on the members of both facets.
-
-        Parameters
-        ----------
-        pairs : Pairs
-            The pairs.
-        force : (n, dim) float64
-            F [force].
-        by_corners, by_slip : (n, dim, 2 k dim), (n, dim, dim) float64
-            Derivatives of F by the corners and by the displacements at the points [force / length].
-        points : tuple of (n, dim, 2 k dim) float64
-            Derivatives of the points X of both facets by the corners [-].
-        """
-        dim, n = self.body.dim, len(pairs.rows)
-        *both, joined, order = self._ends(pairs)
-        of = np.concatenate([end.of for end in both])[order]
-        w = np.concatenate([sign * end.weights for end, sign in zip(both, (1.0, -1.0), strict=True)])[order]
-
-        def by_members(derivative: Float) -> Float:
-            """Return derivatives by the displacements of the members from those by the corners of both facets."""
-            rate = derivative.reshape(n, 2, derivative.shape[1] // (2 * dim), dim)
-            found = [np.einsum("ec,ecj->ej", end.corners, rate[end.of, number]) for number, end in enumerate(both)]
-            return np.asarray(np.concatenate(found)[order])
-
-        hs = [w[:, None] * axis for axis in np.eye(dim)]
-        gs = [by_members(by_corners[:, i]) + w[:, None] * by_slip[:, i][of] for i in range(dim)]
-        for number, by_point in enumerate(points):
-            G = np.concatenate([(-1.0) ** number * end.G * (place == number) for place, end in enumerate(both)])[order]
-            hs += [G[:, a, None] * force[of] for a in range(dim)]
-            gs += [by_members(by_point[:, a]) for a in range(dim)]
-        if self.symmetric:
-            hs, gs = hs + gs, gs + hs
+    def _product(self, stencils: StencilMembers, hs: list[Float], gs: list[Float]) -> RankOneProduct:
+        """Return ``-sum h (x) g`` over vectors (n_entries, dim) of stencils."""
         # One stencil for each product of two vectors.
-        count, sizes = len(hs), np.diff(joined)
-        entry, ptr = entries_of(joined, np.repeat(np.arange(n), count))
-        which = np.repeat(np.tile(np.arange(count), n), np.repeat(sizes, count))
-        owner = np.repeat(self._search.one.owner[pairs.rows], count)
-        members = np.concatenate([end.members for end in both])[order]
-        stencils = StencilMembers(owner, ptr, members[entry])
+        ptr, n, count = stencils.point_ptr, len(stencils.owner), len(hs)
+        entry, repeated = entries_of(ptr, np.repeat(np.arange(n), count))
+        which = np.repeat(np.tile(np.arange(count), n), np.repeat(np.diff(ptr), count))
+        members = StencilMembers(np.repeat(stencils.owner, count), repeated, stencils.members[entry])
         h, g = (np.ascontiguousarray(np.stack(vectors)[which, entry]) for vectors in (hs, gs))
-        b = np.full(n * count, -0.5 if self.symmetric else -1.0)
-        return RankOneProduct(stencils, self.body.cloud.n_owned, h, g, b)
+        return RankOneProduct(members, self.body.cloud.n_owned, h, g, np.full(n * count, -1.0))
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return blocks of all facets of both parts as if each was pressed and stuck.
@@ -255,9 +235,3 @@ class BodyContactForces(FacetContact):
             ranges.append((np.array(least), np.array(most)))
         (low, high), (least_other, most_other) = ranges
         return float(np.linalg.norm(np.maximum(high - least_other, most_other - low)))
-
-
-def _joined(ptr: GlobalIndex, other: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex]:
-    """Return where the rows of two joined lists begin, and the order of their entries, one list after the other."""
-    row = np.concatenate([np.repeat(np.arange(len(one) - 1), np.diff(one)) for one in (ptr, other)])
-    return ptr + other, np.argsort(row, kind="stable")

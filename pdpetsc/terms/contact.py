@@ -110,7 +110,7 @@ class ContactForces(FacetContact):
         """Return the blocks of the facets in contact."""
         touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._distance(state)
         n, H = n[touching.rows], H[touching.rows]
-        blocks = -touching.by_gap[:, :, None] * n[:, None, :] - touching.by_normal @ H - touching.by_slip
+        blocks = self._c * touching.by_pressure[:, :, None] * n[:, None, :] - touching.by_normal @ H - touching.by_slip
         return [self._at.product(self.body.cloud.n_owned, touching.rows, R @ blocks @ R.T)]
 
     def stiffest(self, state: State) -> Sequence[Product]:

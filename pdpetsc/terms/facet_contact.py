@@ -23,6 +23,8 @@ from pdpetsc.terms.chosen_facets import by_component
 STIFFNESS = 10.0
 # Stiffness of sticking facets over that of pressed facets [-]; at 1 Newton cycles between both directions of sliding.
 STICKING = 0.1
+# Gap over the spacing up to which surfaces touch [-].
+TOUCH = 1e-9
 # Tolerance of a penetration that is computed again.
 SLACK = 1.0 + 1e-6
 # Penetration over the spacing from which surfaces overlap at the start [-].
@@ -38,13 +40,13 @@ class Touching(NamedTuple):
         The points in contact.
     traction : (m, dim) float64
         [stress].
-    by_gap, by_normal, by_slip : (m, dim), (m, dim, dim), (m, dim, dim) float64
-        Derivatives by the gap [stress / length], the normal [stress] and the slip [stress / length].
+    by_pressure, by_normal, by_slip : (m, dim), (m, dim, dim), (m, dim, dim) float64
+        Derivatives by the pressure [-], the normal [stress] and the slip [stress / length].
     """
 
     rows: GlobalIndex
     traction: Float
-    by_gap: Float
+    by_pressure: Float
     by_normal: Float
     by_slip: Float
 
@@ -201,14 +203,19 @@ class FacetContact(Term):
 
     def _touching(self, state: State) -> Touching:
         """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
-        of, gap, slip = self._points(state).of, self._gap(state), self._slip(state)
-        return state.kept((self, "touching", self.version), lambda: self._tractions(of, slip, *gap))
+        points, slip, n = self._points(state), self._slip(state), self._gap(state)[1]
+        pressure = self._p[points.of] - self._c * self._felt(state)
+        return state.kept((self, "touching", self.version), lambda: self._tractions(points.of, pressure, slip, n))
 
-    def _tractions(self, of: GlobalIndex, slip: Float, g: Float, n: Float) -> Touching:
-        pressure = self._p[of] - self._c * g
-        rows = np.flatnonzero(pressure > 0.0)
-        n, p, one = n[rows], pressure[rows], np.eye(self.body.dim)
-        traction, by_gap, by_normal = p[:, None] * n, -self._c * n, p[:, None, None] * one
+    def _felt(self, state: State) -> Float:
+        """Compute the gap that determines the pressure of each point (n_points,) [length] (collective)."""
+        return self._gap(state)[0]
+
+    def _tractions(self, of: GlobalIndex, pressure: Float, slip: Float, n: Float) -> Touching:
+        # Points that just touch have no pressure yet, and resist.
+        rows = np.flatnonzero(pressure > -TOUCH * self._c * self._spacing)
+        n, p, one = n[rows], np.maximum(pressure[rows], 0.0), np.eye(self.body.dim)
+        traction, by_pressure, by_normal = p[:, None] * n, n, p[:, None, None] * one
         by_slip = np.zeros_like(by_normal)
         if self._mu > 0.0:
             along = self._tau[of[rows]] - STICKING * self._c * slip[rows]
@@ -223,10 +230,10 @@ class FacetContact(Term):
             kept = one - np.where(slides[:, None, None], e[:, :, None] * e[:, None, :], 0.0)
             kept = share[:, None, None] * kept
             traction = traction + share[:, None] * trial
-            by_gap = by_gap - np.where(slides, self._mu * self._c, 0.0)[:, None] * e
+            by_pressure = n + np.where(slides, self._mu, 0.0)[:, None] * e
             by_normal = by_normal + kept @ turned
             by_slip = -STICKING * self._c * kept @ across
-        return Touching(rows, traction, by_gap, by_normal, by_slip)
+        return Touching(rows, traction, by_pressure, by_normal, by_slip)
 
     def _in_space(self, state: State) -> Float:
         """Compute the tractions at the points in contact (m, dim) [stress] (collective)."""
@@ -250,8 +257,7 @@ class FacetContact(Term):
     def _pressures(self, state: State) -> Float:
         """Compute the mean pressure of the points of each multiplier [stress] (collective)."""
         points = self._points(state)
-        p = np.maximum(self._p[points.of] - self._c * self._gap(state)[0], 0.0)
-        return points.mean(p, len(self._owner))
+        return points.mean(np.maximum(self._p[points.of] - self._c * self._felt(state), 0.0), len(self._owner))
 
     def _off(self, state: State) -> float:
         """Compute the violation ``|min(g, p / c)|`` of ``g >= 0, p >= 0, g p = 0`` [length] (collective).
@@ -338,8 +344,13 @@ class FacetContact(Term):
             return off if comm.rank == 0 else 0.0
 
         found = {f"{self._name}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
-        found[f"{self._name}_area"] = lambda state: float(self._points(state).area[self._touching(state).rows].sum())
+        found[f"{self._name}_area"] = self._area
         return found | {f"{self._name}_depth": depth}
+
+    def _area(self, state: State) -> float:
+        """Compute the area of the points that are pressed on this rank [area] (collective)."""
+        touching = self._touching(state)
+        return float(self._points(state).area[touching.rows[touching.traction.any(axis=1)]].sum())
 
     def of_facets(self, state: State) -> tuple[Float, Float, Float]:
         """Return positions, tractions and areas of the points of this rank in contact (collective).

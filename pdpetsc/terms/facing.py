@@ -126,24 +126,25 @@ class Side:
         N, G = self.N[entry], self.G[entry]
         offsets = self.offsets[rows][:, : _CORNERS[dim], :dim]
         corners = N[:, None] + np.einsum("ej,ecj->ec", G, offsets[of])
-        return Ends(ptr, self.members[entry], of, N + (G * points[of]).sum(axis=1), G, corners)
+        weights = N + (G * points[of]).sum(axis=1)
+        return Ends(ptr, self.members[entry], of, weights, G[:, None], corners[:, None])
 
 
 class Ends(NamedTuple):
-    """Store the particles with which points on facets move, point by point.
+    """Store the particles with which points on facets, or the points of pairs on both facets, move.
 
     Attributes
     ----------
     ptr : (n + 1,) int64
-        Start of the particles of each point.
+        Start of the particles of each point or pair.
     members, of : (n_entries,) int
-        Local particles, and the point of each.
+        Local particles, and the point or pair of each.
     weights : (n_entries,) float64
-        Weights of their displacements at the point [-].
-    G : (n_entries, dim) float64
-        Derivatives of the weights by the point [1 / length].
-    corners : (n_entries, k) float64
-        Weights of their displacements at the corners of the facet [-].
+        Weights of their displacements at the point, negative for the point on the other facet of a pair [-].
+    G : (n_entries, n_facets, dim) float64
+        Derivatives of the weights by the point on each facet [1 / length].
+    corners : (n_entries, n_facets, k) float64
+        Weights of their displacements at the corners of each facet [-].
     """
 
     ptr: GlobalIndex
@@ -152,6 +153,32 @@ class Ends(NamedTuple):
     weights: Float
     G: Float
     corners: Float
+
+    def rates(self, by_corners: Float) -> Float:
+        """Return derivatives by the displacements of the particles (n_entries, dim) from those by all corners."""
+        n, (facets, k) = len(self.ptr) - 1, self.corners.shape[1:]
+        dim = self.G.shape[2]
+        return np.asarray(np.einsum("esc,escj->ej", self.corners, by_corners.reshape(n, facets, k, dim)[self.of]))
+
+
+def both_ends(one: Ends, other: Ends) -> Ends:
+    """Return the particles of the points of pairs, from those of the points on both facets."""
+    order = np.argsort(np.concatenate([one.of, other.of]), kind="stable")
+
+    def joined(values: Float, others: Float) -> Float:
+        return np.concatenate([values, others])[order]
+
+    def beside(values: Float, others: Float) -> Float:
+        return joined(
+            np.concatenate([values, np.zeros_like(values)], axis=1),
+            np.concatenate([np.zeros_like(others), others], axis=1),
+        )
+
+    return Ends(
+        one.ptr + other.ptr, np.concatenate([one.members, other.members])[order],
+        np.concatenate([one.of, other.of])[order], joined(one.weights, -other.weights), beside(one.G, -other.G),
+        beside(one.corners, other.corners),
+    )  # fmt: skip
 
 
 # Corners of a facet whose displacements differ.
@@ -345,6 +372,14 @@ class Search:
     def pairs(self, u: Float) -> Pairs:
         """Return the near pairs that overlap (not collective)."""
         return self._overlapping((self.one.deformed(u), self.other.deformed(u)), *self.near)
+
+    @property
+    def near_pairs(self) -> Pairs:
+        """Return the near facets as pairs without overlap."""
+        one, other = self.near
+        n, dim = len(one), self._cloud.dim
+        nothing, vectors = np.zeros(n), np.zeros((n, dim))
+        return Pairs(one, other, nothing, nothing, vectors, vectors, vectors)
 
     def passed(self, u: Float, slack: float) -> Pairs:
         """Return the pairs that overlap of facets nearer than ``slack`` [length] (not collective)."""

@@ -17,8 +17,8 @@ def point(force, radius, modulus):
 
 
 def touching(solution):
-    """Return positions, tractions and areas of the facets of all ranks that touch."""
-    (term,) = (one for one in solution.problem.terms if type(one).__name__ == "ContactForces")
+    """Return positions, tractions and areas of the facets of all ranks that touch, of the first part of two bodies."""
+    (term,) = (one for one in solution.problem.terms if hasattr(one, "of_facets"))
     parts = solution.cloud.comm.allgather(term.of_facets(solution.state))
     return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
 

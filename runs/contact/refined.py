@@ -38,10 +38,11 @@ class Cloud:
         )
 
 
-def corner(n, core, outer, dim):
+def corner(n, core, outer, dim, ball=True):
     """Return nodes (k, dim) and cells of the part of a ball of radius ``outer`` with all coordinates positive.
 
     The square or cube of side ``core`` at the origin has ``n`` cells a side. Shells around it grow with the distance.
+    Without ``ball`` the outermost shell is that of a square or cube too.
     """
     m = round(np.log(outer / core) / np.log1p(GROWTH / n))
     index = np.stack(np.meshgrid(*[np.arange(n + 1)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
@@ -53,7 +54,7 @@ def corner(n, core, outer, dim):
     parts = [core / n * index]
     for k in range(1, m + 1):
         radius = core * (outer / core) ** (k / m)
-        share = k / m
+        share = k / m if ball else 0.0
         parts.append(radius * ((1.0 - share) * flat + share * turned))
     points = np.concatenate(parts)
     number = {tuple(at): row for row, at in enumerate(index.tolist())}
@@ -112,9 +113,10 @@ def cloud(points, cells, touches):
     assert len(nodes) == len(points)
     found = facets(points, [block])
     corners = found.corners[found.free]
-    node, x, area, facet = parts_of_facets(points, corners, found.area[found.free])
+    node, x, area, facet, outline = parts_of_facets(points, corners, found.area[found.free])
     on = np.where(corners >= 0, touches[corners], True).all(axis=1)
-    surface = pd.Facets(x, area, node, tags={"contact": on[facet]})
+    outline = outline if points.shape[1] == 3 else None
+    surface = pd.Facets(x, area, node, tags={"contact": on[facet]}, corners=outline)
     size = edge_lengths(points, [Block("quad" if points.shape[1] == 2 else "hexahedron", cells)])
     return Cloud(pd.Arrays(points, volume, facets=surface), size)
 

@@ -85,8 +85,9 @@ def of_nodes(points, block):
     """Return one particle per node, with the volume of its dual cell and the facets of that: as ``pd.MeshNodes``."""
     nodes, volume = shares_of_nodes(points, [block])
     found = facets(points, [block])
-    node, x, area, _ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
-    return pd.Arrays(points[nodes], volume, facets=pd.Facets(x, area, np.searchsorted(nodes, node)))
+    node, x, area, _, outline = parts_of_facets(points, found.corners[found.free], found.area[found.free])
+    corners = outline if points.shape[1] == 3 else None
+    return pd.Arrays(points[nodes], volume, facets=pd.Facets(x, area, np.searchsorted(nodes, node), corners=corners))
 
 
 def centres(points, block):

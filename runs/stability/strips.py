@@ -14,5 +14,5 @@ def particles(x, y):
     quads = Block("quad", np.stack([first, first + n + 1, first + n + 2, first + 1], axis=1))
     nodes, volume = shares_of_nodes(points, [quads])
     found = facets(points, [quads])
-    node, at, area, _ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
+    node, at, area, *_ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
     return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node)))

@@ -1,4 +1,4 @@
-"""Contact with rigid tools against closed forms: Hertz, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros."""
+"""Contact against closed forms: Hertz, Lame, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros."""
 
 import math
 
@@ -74,3 +74,25 @@ def test_the_centre_of_a_disc_has_the_tension_of_the_closed_form(tmp_path):
     assert disc["tension_over_closed_form"] == pytest.approx(1.0, abs=0.02)
     assert disc["compression_over_closed_form"] == pytest.approx(1.0, abs=0.02)
     assert disc["force_over_johnson"] == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("words", ["lower=4 upper=5", "lower=10 upper=4", "lower=8 upper=10 cloud=cells"])
+def test_unlike_blocks_pass_the_patch_test(words, tmp_path):
+    found_blocks = found("blocks", *words.split(), output=tmp_path)
+    assert found_blocks["pressure_error"] < 1e-7 and found_blocks["interface_error"] < 1e-7
+
+
+def test_a_shrink_fit_converges_to_the_pressure_of_lame(tmp_path):
+    coarse, fine = (
+        found("shrink_fit", f"n={n}", output=tmp_path / str(n))["pressure_over_exact"] - 1.0 for n in (4, 8)
+    )
+    assert abs(fine) < 0.025 and abs(fine) < 0.4 * abs(coarse)
+
+
+def test_an_elastic_cylinder_on_an_elastic_block_has_the_pressure_of_hertz(tmp_path):
+    """NAFEMS CGS-1: 6.2146 mm and 3585.4 MPa at 35 kN per mm."""
+    pressed = found("cylinder_on_block", output=tmp_path)
+    assert pressed["force"] == pytest.approx(35e3, rel=0.01)
+    assert pressed["half_width"] == pytest.approx(6.2146, rel=0.025)
+    assert pressed["peak_pressure"] == pytest.approx(3585.4, rel=0.03)
+    assert pressed["pressure_error"] < 0.08

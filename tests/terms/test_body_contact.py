@@ -128,26 +128,19 @@ def test_forces_have_their_tangent_and_balance(friction, rng):
     moment = (y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum()
     # Friction acts on both facets, which are a penetration apart.
     assert abs(moment) < (1e-6 if friction == 0.0 else 1e-2) * np.abs(f).sum()
-    one, other, h = rng.uniform(-1.0, 1.0, (n, dim)), rng.uniform(-1.0, 1.0, (n, dim)), 1e-7
-    (product,) = term.linearise(problem.state(u, 0.9))
+    one, h = rng.uniform(-1.0, 1.0, (n, dim)), 1e-7
+    products = term.linearise(problem.state(u, 0.9))
 
     def exact(du):
         found = np.zeros((n, dim))
-        product.add_product(du, found, np.arange(n, dtype=np.int32))
+        for product in products:
+            product.add_product(du, found, np.arange(n, dtype=np.int32))
         return found
 
     def difference(du):
         return (force(u + h * du) - force(u - h * du)) / (2.0 * h)
 
-    if friction > 0.0:
-        assert np.abs(difference(one) - exact(one)).max() < 1e-7 * np.abs(exact(one)).max()
-    else:  # the symmetric part, which is all but a share of the penetration
-        found = (other * exact(one)).sum()
-        assert found == pytest.approx((one * exact(other)).sum(), rel=1e-10)
-        assert found == pytest.approx(
-            0.5 * ((other * difference(one)).sum() + (one * difference(other)).sum()), rel=1e-7
-        )
-        assert np.abs(difference(one) - exact(one)).max() < 0.05 * np.abs(exact(one)).max()
+    assert np.abs(difference(one) - exact(one)).max() < 1e-7 * np.abs(exact(one)).max()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -248,7 +241,7 @@ def test_bars_that_collide_exchange_their_velocities(kind, tmp_path):
     assert two[-1] == pytest.approx(1.0, abs=0.02)
     pressed = np.array(run.history["pair_x"]) != 0.0
     assert 70.0 * pressed.mean() == pytest.approx(20.0, rel=0.15 if explicit else 0.4)
-    assert np.abs(run.history["error"]).max() < (2e-3 if explicit else 0.02)
+    assert np.abs(run.history["error"]).max() < (2e-3 if explicit else 0.04)
 
 
 def test_a_body_touches_itself(tmp_path):
@@ -285,7 +278,7 @@ def test_a_step_in_which_bodies_pass_through_each_other_is_halved(tmp_path):
         material=pd.NeoHookean(E=1000.0, nu=0.3),
         conditions=[
             pd.Clamp("lower -y"),
-            pd.Displacement("upper +y", x=0.0, y=-0.6),
+            pd.Displacement("upper +y", x=0.0, y=-0.7),
             pd.BodyContact("lower", "upper", name="pair"),
         ],
         steps=pd.Steps(1),

@@ -35,7 +35,7 @@ from pdpetsc.damage import (
 )
 from pdpetsc.declare import influence, region
 from pdpetsc.declare.bodies import Bodies
-from pdpetsc.declare.body_contact import BodyContact
+from pdpetsc.declare.body_contact import BodyContact, ParticleContact
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
@@ -239,6 +239,7 @@ __all__ = [
     "OnSurface",
     "Opening",
     "OutputError",
+    "ParticleContact",
     "PathFollowing",
     "Picture",
     "PlaneCrack",

@@ -1,12 +1,12 @@
-"""Contact between the surfaces of bodies, or of a body with itself."""
+"""Contact between the surfaces of bodies, of a body with itself, and between particles."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from pdpetsc.declare.conditions import Condition
-from pdpetsc.declare.region import Region, region_of_name
+from pdpetsc.declare.region import All, Region, region_of_name
 from pdpetsc.declared import Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
@@ -86,3 +86,53 @@ class BodyContact(Condition):
     def reach_at(self, horizon: float) -> float:
         """Return the reach for the largest horizon [length]."""
         return REACH * horizon if self.reach is None else self.reach
+
+
+@dataclass(frozen=True)
+class ParticleContact(Condition):
+    """Short-range repulsion of particles without a bond: fragments, and the faces of cracks, that are pushed together.
+
+    Two particles without a bond, because they never had one or it has broken, repel each other along their distance r
+    with the force ``stiffness A (r0 - r)`` if ``r < r0``. ``r0`` is ``distance``, or their distance in the undeformed
+    body if that is smaller, so that there is no force at the start. The area A is ``sqrt(V_i V_j)`` over the mean
+    spacing. There is no friction. Facets of surfaces transfer a pressure better: use ``BodyContact`` where bodies do
+    not break.
+
+    Parameters
+    ----------
+    region : Region or str
+        The particles; by default all.
+    distance : float, optional
+        [length]; by default the mean spacing.
+    stiffness : float, optional
+        [stress / length]; by default the modulus ``lambda + 2 mu / dim`` over the mean spacing.
+    name : str
+        Prefix of the columns ``NAME_pairs`` (number of pairs that are pressed) and ``NAME_depth`` (largest ``r0 - r``
+        over the spacing) in the history.
+
+    Raises
+    ------
+    CaseError
+        In a case: with a periodic cell or mirror planes.
+    SolveError
+        With a matrix, on several ranks: particles touch that are further apart in the undeformed body than ranks
+        exchange. ``Explicit`` has no such limit.
+
+    References
+    ----------
+    Macek2007 (short-range force).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> fragments = pd.ParticleContact()
+    """
+
+    region: Region = field(default_factory=All)
+    distance: Positive | None = None
+    stiffness: Positive | None = None
+    name: str = "fragments"
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the term."""
+        onto.particle_contact(self, name)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declare.body_contact import BodyContact
+from pdpetsc.damage.state import FailingBonds
+from pdpetsc.declare.body_contact import BodyContact, ParticleContact
 from pdpetsc.declare.conditions import (
     BodyForce,
     Centrifugal,
@@ -45,6 +46,7 @@ from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.facet_contact import STIFFNESS
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
+from pdpetsc.terms.particle_contact import ParticleContactForces
 from pdpetsc.terms.surface_loads import SurfaceLoads
 
 
@@ -59,6 +61,8 @@ class Applied:
         Load parameters that the run reaches exactly [-].
     density : (n_owned,) float64, optional
         Density of the own particles, if all materials have one [mass / volume].
+    bonds : FailingBonds, optional
+        Which bonds are intact, if bonds fail.
 
     Attributes
     ----------
@@ -70,7 +74,7 @@ class Applied:
 
     def __init__(
         self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,),
-        density: Float | None = None,
+        density: Float | None = None, bonds: FailingBonds | None = None,
     ) -> None:  # fmt: skip
         self.body = body
         self.particles = particles
@@ -81,7 +85,7 @@ class Applied:
         self.surface_loads = SurfaceLoads(body)
         # Forces that depend on the displacement.
         self.following: list[Term] = []
-        self._density = density
+        self._density, self._bonds = density, bonds
         # Initial velocities of the own particles, None for a body at rest.
         self.velocity: Float | None = None
         # Damping of a motion: rate of each own particle, stiffness of the body, and facets that absorb.
@@ -225,6 +229,23 @@ class Applied:
         self._contacts.add(condition.name)
         self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name))
 
+    def particle_contact(self, condition: ParticleContact, name: str) -> None:
+        """Add the repulsion of particles without a bond."""
+        cloud = self.body.cloud
+        if cloud.images is not None or len(cloud.sign):
+            raise CaseError(f"{name} does not act on images. Leave out the cell and mirror planes.")
+        mask = select(cloud, condition.region, name)
+        self._contacts.add(condition.name)
+        apart = nearest_distances(self.body)[mask]
+        spacing = float(total(cloud.comm, apart.sum()) / total(cloud.comm, len(apart)))
+        stiffness = condition.stiffness
+        if stiffness is None:
+            stiffness = largest(cloud.comm, self._material_term.kappa) / spacing
+        distance = spacing if condition.distance is None else condition.distance
+        self.following.append(
+            ParticleContactForces(self.body, mask, distance, stiffness, spacing, self._bonds, name, condition.name)
+        )
+
     def _contact_stiffness(self, condition: Contact | BodyContact, mask: Mask) -> tuple[float, float]:
         """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
         surface, comm = self.body.surface, self.body.cloud.comm
@@ -291,7 +312,7 @@ class Applied:
 
 def apply(
     body: Body, material_term: MaterialTerm, conditions: Sequence[Condition], particles: Particles,
-    times: Sequence[float] = (1.0,), density: Float | None = None,
+    times: Sequence[float] = (1.0,), density: Float | None = None, bonds: FailingBonds | None = None,
 ) -> Applied:  # fmt: skip
     """Build supports, loads and other prescribed quantities from conditions (collective).
 
@@ -303,8 +324,8 @@ def apply(
         Conditions of the case.
     times : sequence of float
         Load parameters at which conditions that hold the same particle must agree [-].
-    density : (n_owned,) float64, optional
-        Density of the own particles, if all materials have one [mass / volume].
+    density, bonds
+        As for ``Applied``.
 
     Raises
     ------
@@ -312,7 +333,7 @@ def apply(
         A region selects nothing, two conditions prescribe different values of the same particle, or a component is
         wrong. Or a traction acts on a face of unknown area.
     """
-    onto = Applied(body, material_term, particles, times, density)
+    onto = Applied(body, material_term, particles, times, density, bonds)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, condition_name(condition, number))
     try:

@@ -124,6 +124,7 @@ class ExplicitSolver(Solver):
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         dt = self._stable(largest)
+        pattern = problem.pattern
         # Bonds fail at the end of a step, not within it.
         of_bonds = problem.bond_damage is not None
         problem.freeze(of_bonds)
@@ -147,6 +148,8 @@ class ExplicitSolver(Solver):
                 self._steps += 1
                 if failed and problem.material_term.n_points:  # gradients of fewer bonds may be stiffer
                     due = min(due, self._steps + LEAST)
+                if problem.pattern != pattern:  # others are near
+                    due, pattern = self._steps, problem.pattern
                 if self._steps % CHECKED == 0 and self._stop():
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."

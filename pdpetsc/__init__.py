@@ -50,6 +50,7 @@ from pdpetsc.declare.conditions import (
     Pressure,
     SurfacePressure,
     Traction,
+    Velocity,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
@@ -288,6 +289,7 @@ __all__ = [
     "Thermal",
     "Traction",
     "Units",
+    "Velocity",
     "VonMisesStrain",
     "choose",
     "compare",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -9,12 +10,17 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
+import scipy
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region, accept_region_name
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
+
+# Panels between the times of a schedule and points in each for integrals over time: velocities that are polynomials of
+# degree seven between these times are integrated exactly.
+PANELS, POINTS = 4, 4
 
 # A number, multiplied by the schedule, or a function of positions (n, dim) and load parameter that returns (n,) values,
 # multiplied by the schedule if one is declared.
@@ -182,6 +188,55 @@ class InitialVelocity(VectorCondition):
         super().__post_init__()
         if self.schedule is not None:
             raise CaseError("An InitialVelocity has no schedule, because it is the velocity at the start.")
+
+
+@dataclass(frozen=True)
+class Velocity(VectorCondition):
+    """Prescribed velocity of a region in a motion (``Implicit``, ``Explicit``); the region moves with it from t = 0 on.
+
+    The displacement is the integral of the velocity over time, so that it does not drift.
+
+    Parameters
+    ----------
+    region : Region
+        The particles.
+    x, y, z : float or callable, optional
+        Components [length / time]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
+    schedule : callable, optional
+        Factor on the components as a function of the step time; by default 1. A jump or kink within a motion is
+        integrated exactly if it is one of the times of a ``Table``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> struck = pd.Velocity("-x", x=16.5, schedule=pd.Table([0.0, 0.01, 1.0], [0.0, 1.0, 1.0]))
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Prescribe the displacement."""
+        onto.prescribed_velocity(self, name)
+
+    def moved(self, component: Value, duration: float) -> Callable[[Float, float], Float]:
+        """Return the displacement (n,) [length] as a function of positions and step time.
+
+        ``duration`` is the time of the whole motion [time].
+        """
+        schedule = self.schedule or Hold()
+        breaks = np.asarray(getattr(schedule, "times", ()), dtype=float)
+
+        def displacement(x: Float, t: float) -> Float:
+            ends = np.concatenate([[0.0], breaks[(breaks > 0.0) & (breaks < t)], [t]])
+            whole = np.zeros(len(x))
+            for begin, end in itertools.pairwise(ends.tolist()):
+                panels = np.linspace(begin, end, PANELS + 1)
+                half = 0.5 * (panels[1] - panels[0])
+                for s, weight in zip(*scipy.special.roots_legendre(POINTS), strict=True):
+                    for middle in (panels[:-1] + half).tolist():
+                        at = middle + half * float(s)
+                        whole += weight * half * values_of("Velocity", component, schedule, x, at)
+            return duration * whole
+
+        return displacement
 
 
 @dataclass(frozen=True)

@@ -336,10 +336,14 @@ class Implicit(DeclaredSolver):
         If True, the motion starts from the equilibrium of the conditions at step time 0, not from the undeformed body.
     every : int
         Time steps between records in history and files.
+    error : float, optional
+        Largest local error of a time step, over the largest displacement so far, both as root mean squares over the
+        mass [-]. A step with a larger error is halved, and the next ones grow as far as the error allows, up to ``dt``.
+        The error is ``|beta - 1 / 6| dt^2 |a - a_0|``. By default all steps are ``dt``.
 
     References
     ----------
-    Chung1993.
+    Chung1993; Zienkiewicz1991 (error).
 
     Examples
     --------
@@ -352,6 +356,7 @@ class Implicit(DeclaredSolver):
     radius: float = 1.0
     preload: bool = field(default=False, kw_only=True)
     every: Count = field(default=1, kw_only=True)
+    error: Positive | None = field(default=None, kw_only=True)
 
     title = "Implicit dynamics"
 

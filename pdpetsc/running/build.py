@@ -331,10 +331,10 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
             "Strain-based criteria use the total strain and cannot be combined with thermal strain or eigenstrain. "
             "Use a stretch, energy or stress criterion."
         )
-    bonds_state = None if damage is None or damage.of_bonds is None else damage.of_bonds.bonds
+    state = None if damage is None or damage.of_bonds is None else damage.of_bonds.bonds
     stops = case.steps.stops()
     applied = apply(
-        body, material_term, case.conditions, case.particles, stops, materials.density, bonds_state
+        body, material_term, case.conditions, case.particles, stops, materials.density, state, case.duration
     )  # fmt: skip
     supports, heat = applied.supports, None
     if case.expands:

@@ -117,10 +117,9 @@ def load_steps(
                     f"the body to find the stable branch, or follow the path."
                 )
         growth = 0.0
-        if result.converged and steps.plastic_growth is not None:
-            growth = solver.problem.plastic_growth(solver.state(attempt)) / steps.plastic_growth
+        if result.converged:
+            growth, reason = solver.too_long(attempt, steps)
             if growth > 1.0:
-                reason = f"plastic strain grew by {growth * steps.plastic_growth:.3g} in one step"
                 result = replace(result, converged=False, reason=reason)
         if stop():
             solver.problem.revert()

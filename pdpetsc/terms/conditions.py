@@ -23,6 +23,7 @@ from pdpetsc.declare.conditions import (
     Traction,
     Value,
     VectorCondition,
+    Velocity,
     condition_name,
 )
 from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
@@ -63,6 +64,8 @@ class Applied:
         Density of the own particles, if all materials have one [mass / volume].
     bonds : FailingBonds, optional
         Which bonds are intact, if bonds fail.
+    duration : float
+        Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
@@ -74,7 +77,7 @@ class Applied:
 
     def __init__(
         self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,),
-        density: Float | None = None, bonds: FailingBonds | None = None,
+        density: Float | None = None, bonds: FailingBonds | None = None, duration: float = 1.0,
     ) -> None:  # fmt: skip
         self.body = body
         self.particles = particles
@@ -85,7 +88,9 @@ class Applied:
         self.surface_loads = SurfaceLoads(body)
         # Forces that depend on the displacement.
         self.following: list[Term] = []
-        self._density, self._bonds = density, bonds
+        self._density, self._bonds, self._duration = density, bonds, duration
+        # Whether velocities are prescribed.
+        self._driven = False
         # Initial velocities of the own particles, None for a body at rest.
         self.velocity: Float | None = None
         # Damping of a motion: rate of each own particle, stiffness of the body, and facets that absorb.
@@ -121,6 +126,14 @@ class Applied:
                 found = value if callable(value) else (lambda x, t, value=value: np.full(len(x), value))
                 self.velocity[own, axis] = condition.value(found, cloud.x[own], 0.0)
 
+    def prescribed_velocity(self, condition: Velocity, name: str) -> None:
+        """Prescribe the displacements that belong to velocities."""
+        mask, components = self._where(condition, name)
+        moved = [(axis, condition.moved(value, self._duration)) for axis, value in components]
+        x, y, z = (dict(moved).get(axis) for axis in range(3))
+        self.supports.prescribe(Displacement(condition.region, x, y, z), moved, np.flatnonzero(mask), name)
+        self._driven = True
+
     def rayleigh_damping(self, condition: RayleighDamping, name: str) -> None:
         """Add damping."""
         mask = select(self.body.cloud, condition.region, name)
@@ -140,6 +153,8 @@ class Applied:
         """Return the name of a condition that requires inertia; an empty name if no condition does (not collective)."""
         if self.velocity is not None:
             return "InitialVelocity"
+        if self._driven:
+            return "Velocity"
         if self.damping_rate is not None:
             return "RayleighDamping"
         return "" if self.absorbing is None else "AbsorbingBoundary"
@@ -313,6 +328,7 @@ class Applied:
 def apply(
     body: Body, material_term: MaterialTerm, conditions: Sequence[Condition], particles: Particles,
     times: Sequence[float] = (1.0,), density: Float | None = None, bonds: FailingBonds | None = None,
+    duration: float = 1.0,
 ) -> Applied:  # fmt: skip
     """Build supports, loads and other prescribed quantities from conditions (collective).
 
@@ -324,7 +340,7 @@ def apply(
         Conditions of the case.
     times : sequence of float
         Load parameters at which conditions that hold the same particle must agree [-].
-    density, bonds
+    density, bonds, duration
         As for ``Applied``.
 
     Raises
@@ -333,7 +349,7 @@ def apply(
         A region selects nothing, two conditions prescribe different values of the same particle, or a component is
         wrong. Or a traction acts on a face of unknown area.
     """
-    onto = Applied(body, material_term, particles, times, density, bonds)
+    onto = Applied(body, material_term, particles, times, density, bonds, duration)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, condition_name(condition, number))
     try:

@@ -73,6 +73,37 @@ def test_implicit_steps_are_of_second_order(radius, tmp_path):
     assert coarse / fine == pytest.approx(4.0, rel=0.1)
 
 
+def test_the_local_error_decides_on_the_time_step(tmp_path):
+    """A free vibration has about the error that fixed steps of the same number have, and follows the declared one."""
+    off, counts = [], []
+    for number, error in enumerate((1e-3, 1e-4, 1e-5)):
+        case = bar(
+            pd.Implicit(dt=PERIOD / 5, end=PERIOD, error=error), start=lambda x, t: 0.1 * np.sin(0.5 * np.pi * x[:, 0])
+        )
+        history = pd.run(case, tmp_path / str(number)).history
+        reference = exact(case, np.array(history["time"]))
+        off.append(np.abs(np.array(history["tip"]) - reference).max() / np.abs(reference).max())
+        counts.append(len(history["time"]) - 1)
+    # Of second order: an error a tenth as large takes a cube root of ten times the steps.
+    np.testing.assert_allclose(np.array(counts[1:]) / counts[:-1], 10.0 ** (1.0 / 3.0), rtol=0.35)
+    assert off[0] < 0.1 and off[2] < 0.01 and counts[0] > 5
+
+
+@pytest.mark.parametrize("kind", ["explicit", "implicit"])
+def test_prescribed_velocities_are_integrated(kind, tmp_path):
+    """A bar that is driven at its end: a constant velocity after a ramp, and one that depends on place and time."""
+    solver = pd.Explicit(end=2.0, records=8) if kind == "explicit" else pd.Implicit(dt=0.25, end=2.0)
+    ramp = pd.Table([0.0, 0.25, 1.0], [0.0, 1.0, 1.0])
+    case = bar(solver, conditions=[pd.Velocity("-x", x=3.0, schedule=ramp)])
+    history = pd.run(dataclasses.replace(case, history={"end": pd.Mean(pd.displacement, "x", "-x")}), tmp_path).history
+    t = np.array(history["time"])
+    np.testing.assert_allclose(history["end"], np.where(t < 0.5, 3.0 * t**2, 3.0 * (t - 0.25)), atol=1e-12)
+    moved = pd.Velocity(region.All(), x=lambda x, t: x[:, 0] * t**2).moved(lambda x, t: x[:, 0] * t**2, 2.0)
+    np.testing.assert_allclose(moved(np.array([[1.0], [3.0]]), 0.5), [2.0 / 24.0, 6.0 / 24.0], rtol=1e-13)
+    with pytest.raises(pd.CaseError, match="Velocity needs inertia"):
+        pd.prepare(dataclasses.replace(case, solver=pd.Newton()))
+
+
 def test_explicit_steps_are_of_second_order(tmp_path):
     coarse, fine = errors([pd.Explicit(end=PERIOD, safety=s, records=4) for s in (0.1, 0.05)], tmp_path)
     assert fine < 0.01

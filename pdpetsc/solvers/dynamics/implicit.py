@@ -10,8 +10,8 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import Implicit
-from pdpetsc.declare.steps import Steps
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.inertia import Blend
@@ -33,6 +33,10 @@ from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepR
 
 # Rounding of a number of steps.
 ROUNDED = 1e-9
+# Smallest time step over the largest one, if the error decides.
+LEAST = 1e-4
+# Name of the largest displacement in a checkpoint [length].
+MOST_MOVED = "most_moved"
 
 
 class ImplicitSolver(StaticSolver):
@@ -49,8 +53,15 @@ class ImplicitSolver(StaticSolver):
     advice = "take a shorter dt, look for zero-energy modes, or try -snes_linesearch_type basic or -snes_rtol 1e-8"
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], declared: Implicit) -> None:
-        super().__init__(problem, assembler, stop, Steps(math.ceil(declared.end / declared.dt * (1.0 - ROUNDED))))
+        count = math.ceil(declared.end / declared.dt * (1.0 - ROUNDED))
+        steps: Steps | AdaptiveSteps = Steps(count)
+        if declared.error is not None:
+            steps = AdaptiveSteps(first=1.0 / count, smallest=max(LEAST / count, LEAST_STEP), largest=1.0 / count)
+        super().__init__(problem, assembler, stop, steps)
+        self._count = f"at least {count}" if declared.error is not None else f"{count}"
         self._declared, self._inertia = declared, inertia_of(problem)
+        # Root mean square of the displacement over the mass, the largest so far [length].
+        self._most = 0.0
         self._last = 0.0
         self._inertia.blend = Blend.of(declared.radius)
 
@@ -61,10 +72,7 @@ class ImplicitSolver(StaticSolver):
 
     def description(self) -> str:
         """Return a short description of the time integration and its solvers."""
-        return (
-            f"generalised-alpha, radius {self._declared.radius:g}, {len(self.steps.stops())} steps, "
-            f"{super().description()}"
-        )
+        return f"generalised-alpha, radius {self._declared.radius:g}, {self._count} steps, {super().description()}"
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find the end of the time step to load parameter ``t`` (collective)."""
@@ -79,6 +87,24 @@ class ImplicitSolver(StaticSolver):
         self._equilibrium.forget()
         return found, result
 
+    def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
+        """Return the cube root of the local error over the allowed one: the error is of third order in the step."""
+        if self._declared.error is None:
+            return super().too_long(u, steps)
+        inertia, state = self._inertia, self.state(u)
+        n = len(inertia.mass)
+        dt = (state.t - self.problem.converged) * self._declared.end
+        free = ~self._fixed[:n]
+        missed = np.where(free, (inertia.blend.beta - 1.0 / 6.0) * dt**2 * (inertia.motion(state)[1] - inertia.a), 0.0)
+        sums = [float(inertia.mass @ (one**2).sum(axis=1)) for one in (missed, state.own)]
+        error, moved = np.sqrt(total(self._comm, sums)).tolist()
+        most = max(self._most, moved)
+        off = error / most if most > 0.0 else 0.0
+        growth = (off / self._declared.error) ** (1.0 / 3.0)
+        if growth <= 1.0:
+            self._most = most
+        return growth, f"the local error was {off:.2g} of the largest displacement"
+
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
         n = len(self._inertia.mass)
@@ -92,6 +118,7 @@ class ImplicitSolver(StaticSolver):
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
         resume_motion(self.problem, start.resume, self._declared.end)
+        self._most = start.resume.get(MOST_MOVED, 0.0)
         super().resume(start)
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
@@ -125,7 +152,8 @@ class ImplicitSolver(StaticSolver):
             inertia.error = balance.record(state, inertia.energy_of_free())
             self._refuse_unbalanced(inertia.error, converged.t)
             result = replace(converged.result, iterations=iterations, linear_iterations=linear)
-            resume = {**converged.resume, **balance.resume, END: self._declared.end, ERROR: inertia.error}
+            own = {END: self._declared.end, ERROR: inertia.error, MOST_MOVED: self._most}
+            resume = {**converged.resume, **balance.resume, **own}
             yield replace(
                 converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
             )

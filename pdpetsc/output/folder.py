@@ -31,7 +31,7 @@ CELLS = "cells.h5"
 # What plot and report leave in the folder of a run.
 DRAWN = ("deformed.png", "deformed.gif", "deformed.mp4", "history.png", "curve.png", "newton.png", "report.html")
 # How files begin that may have no mark.
-_WITHOUT_MARK = {".csv": (b"step,t,", b"step,t\r", b"step,t\n"), ".png": (b"\x89PNG",)}
+_WITHOUT_MARK = {".csv": (b"step,t,", b"step,t\r", b"step,t\n", b"particle,particles,"), ".png": (b"\x89PNG",)}
 _STEP = re.compile(r"step_\d{5,}\.h5")
 
 
@@ -262,6 +262,7 @@ def _of_earlier_run(folder: Path) -> list[Path]:
         "checkpoint.h5",
         "history.csv",
         "broken_bonds.csv",
+        "fragments.csv",
         "crack.vtk",
         "fields.h5",
         "fields.xdmf",

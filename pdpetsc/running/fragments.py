@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pdpetsc.arrays import Float
 from pdpetsc.output.observer import Observed, Observer, StepRecords
+from pdpetsc.output.records import Table
 from pdpetsc.post.solution import Solution
-from pdpetsc.problem.fragments import pieces_left
+from pdpetsc.problem.fragments import fragments_of, pieces_left
 from pdpetsc.solvers.protocol import Converged
 
 
@@ -37,10 +39,16 @@ class DetachedParticles(Observer):
 
 
 class Fragments(Observer):
-    """Counts the fragments at the end of the run, and compares the last forces with the largest."""
+    """Counts the fragments at the end of the run, lists them in ``fragments.csv``, and compares forces."""
 
     def __init__(self) -> None:
         self._pieces: dict[str, Any] = {}
+        self._u: Float | None = None
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Store the displacement for the centres of the fragments."""
+        self._u = solution.state.own
+        return {}
 
     def end(self) -> None:
         """Print the number of fragments if bonds are broken."""
@@ -48,6 +56,10 @@ class Fragments(Observer):
         if self._pieces or problem.bond_damage is None or not problem.bond_damage.bonds.count_broken():
             return
         pieces, lone = pieces_left(problem)
+        if self._u is not None:
+            names, rows = fragments_of(problem, self._u)
+            table = [[f"{value:.12g}" for value in row] for row in rows.tolist()]
+            Table(self.observed.comm, self.observed.folder / "fragments.csv", [names, *table]).flush()
         forces = [float(step["reference"] or 0.0) for step in steps]
         most = max(forces, default=0.0)
         left = forces[-1] / most if most > 0.0 else float("nan")

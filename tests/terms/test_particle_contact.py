@@ -149,3 +149,24 @@ def test_forces_have_their_tangent_and_balance(rng):
 def test_images_are_refused():
     with pytest.raises(pd.CaseError, match="does not act on images"):
         pd.prepare(cut(symmetry=[pd.Symmetry("x", 0.0)], cracks=()))
+
+
+def test_fragments_are_listed_with_mass_and_velocity(tmp_path):
+    """A bar is torn by velocities that differ between its halves, which keep their momentum together."""
+    case = bars(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.25),
+        conditions=[pd.InitialVelocity(pd.region.Slab("x", low=2.0), x=1.0)],
+        damage=pd.Brittle(pd.ConstantCritical(0.01)),
+        solver=pd.Explicit(end=0.5, records=10),
+        history={},
+    )
+    pd.run(case, tmp_path)
+    names, *rows = (line.split(",") for line in (tmp_path / "fragments.csv").read_text().split())
+    table = {name: np.array([float(row[k]) for row in rows]) for k, name in enumerate(names)}
+    assert len(rows) == 2
+    assert table["mass"] == pytest.approx(table["volume"]) and table["mass"].sum() == pytest.approx(4.0)
+    assert table["mass"] @ table["vx"] == pytest.approx(2.0, rel=1e-9)
+    assert sorted(table["vx"]) == pytest.approx([0.0, 1.0], abs=0.1)
+    assert sorted(table["x"]) == pytest.approx([1.0, 3.5], abs=0.1)
+    pd.run(dataclasses.replace(case, damage=None), tmp_path)
+    assert (tmp_path / "earlier" / "fragments.csv").exists() and not (tmp_path / "fragments.csv").exists()

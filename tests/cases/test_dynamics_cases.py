@@ -123,3 +123,9 @@ def test_a_ring_falls_into_pieces_whose_number_settles(tmp_path):
     sizes = [found("ring", f"n={n}", output=tmp_path / str(n))["size"] for n in (6000, 12000, 24000)]
     assert np.diff(sizes)[1] / np.diff(sizes)[0] < 0.5
     assert 0.1e-3 < sizes[-1] < 0.2e-3
+
+
+def test_a_clamped_bar_vibrates_with_the_frequency_of_timoshenko(tmp_path):
+    plate = found("vibration", "dim=2", "n=8", output=tmp_path)
+    assert plate["frequency_over_timoshenko"] == pytest.approx(1.0, abs=0.003)
+    assert plate["energy_error"] < 1e-10

@@ -35,7 +35,7 @@ from pdpetsc.damage import (
 )
 from pdpetsc.declare import influence, region
 from pdpetsc.declare.bodies import Bodies
-from pdpetsc.declare.body_contact import BodyContact, ParticleContact
+from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
@@ -287,6 +287,7 @@ __all__ = [
     "Term",
     "TextFile",
     "Thermal",
+    "Tied",
     "Traction",
     "Units",
     "Velocity",

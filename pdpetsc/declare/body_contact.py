@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.region import All, Region, region_of_name
 from pdpetsc.declared import Fraction, NonNegative, Positive
-from pdpetsc.errors import CaseError
 
 # Reach of a contact by default, in horizons.
 REACH = 4.0
@@ -75,8 +74,6 @@ class BodyContact(Condition):
 
     def put(self, onto: Any, name: str) -> None:
         """Add the term."""
-        if onto.cell is not None:
-            raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
         onto.body_contact(self, name)
 
     def beyond(self, horizon: float) -> float:
@@ -86,6 +83,59 @@ class BodyContact(Condition):
     def reach_at(self, horizon: float) -> float:
         """Return the reach for the largest horizon [length]."""
         return REACH * horizon if self.reach is None else self.reach
+
+
+@dataclass(frozen=True)
+class Tied(Condition):
+    """Tie two parts of the surface that touch or nearly touch: bodies of unlike spacings move as one.
+
+    Facets that overlap in the undeformed bodies form pairs. Both facets of a pair feel opposite tractions
+    ``stiffness (u - u')`` of the displacements at the middle of the overlap, times its area. A uniform stress passes
+    exactly; the displacements differ by the traction over the stiffness.
+
+    Parameters
+    ----------
+    region, other : Region or str
+        Facets of both parts, as for ``BodyContact``.
+    stiffness : float, optional
+        [stress / length]; by default 1000 times the modulus ``lambda + 2 mu / dim`` over the coarser mean spacing.
+    gap : float
+        Largest distance of facets that are tied, over the spacing [-].
+    name : str
+        Prefix of the columns ``NAME_x``, ... of the force of the other part on the region.
+
+    Raises
+    ------
+    CaseError
+        In a case: no facets overlap within the gap, in a periodic cell, or outlines of the facets of a solid are
+        unknown.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> glued = pd.Tied("fine -y", "coarse +y")
+    """
+
+    region: Region
+    other: Region
+    stiffness: Positive | None = None
+    gap: Positive = 0.1
+    name: str = "tie"
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.other, str):
+            object.__setattr__(self, "other", region_of_name(self.other))
+        super().__post_init__()
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the term."""
+        onto.tied(self, name)
+
+    def beyond(self, horizon: float) -> float:
+        """Return how much further than a horizon particles are exchanged [length]."""
+        return AROUND * horizon
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,18 @@ from pdpetsc.errors import CaseError
 RANK_TOLERANCE = 1e-12
 
 
-def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
+def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = None) -> GlobalIndex:
     """Return the smallest global id in the piece of each own particle, (n_owned,).
+
+    ``joined`` (n, 2) are pairs of local particles that belong together besides those with a bond.
 
     Notes
     -----
     Collective; the number of exchanges is at most the number of rank boundaries that a piece crosses.
     """
     bonds = families.connecting()
+    if joined is not None:
+        bonds = np.concatenate([bonds[0], joined[:, 0]]), np.concatenate([bonds[1], joined[:, 1]])
     graph = scipy.sparse.coo_matrix(
         (np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local)
     )
@@ -45,11 +49,15 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
             return np.asarray(label[: cloud.n_owned])
 
 
-def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Float], Float]) -> None:
+def refuse_rigid_motion(
+    cloud: Cloud, families: Families, resisted: Callable[[Float], Float], joined: LocalIndex | None = None
+) -> None:
     """Raise on all ranks if a piece of the body can move rigidly.
 
     Parameters
     ----------
+    joined : (n, 2) int32
+        As for ``find_pieces``.
     resisted : callable
         Computes the violation of constraints by displacements (n_owned, dim), 0 for unconstrained components
         (collective). A mirror plane holds the pieces that it crosses: they cannot move along its normal or rotate it.
@@ -63,7 +71,7 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Fl
     -----
     Collective.
     """
-    pieces = find_pieces(cloud, families)
+    pieces = find_pieces(cloud, families, joined)
     modes = rigid_modes(cloud)
     labels, index = np.unique(pieces, return_inverse=True)
     n_modes = modes.shape[2]

@@ -80,6 +80,23 @@ class Families:
         return longest
 
 
+def with_pairs(families: Families, kept: Mask, pairs: LocalIndex) -> tuple[Families, Mask]:
+    """Return families with further pairs (n, 2) as bonds, and which bonds are kept (n_bonds,), also the further ones.
+
+    No marks stand for bonds that are all kept.
+    """
+    if not len(pairs):
+        return families, kept
+    centres = np.concatenate([families.centres, pairs[:, 0]])
+    order = np.argsort(centres, kind="stable")
+    count = np.bincount(centres, minlength=len(families.indptr) - 1)
+    indptr = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    neighbours = np.concatenate([families.neighbours, pairs[:, 1]])[order].astype(np.int32)
+    if len(kept):
+        kept = np.concatenate([kept, np.ones(len(pairs), dtype=bool)])[order]
+    return Families(indptr, neighbours), kept
+
+
 class LatticeFamilies(Families):
     """Represent families of a body on a lattice, most of which share their steps; bonds are listed on first use.
 

@@ -11,6 +11,7 @@ import scipy
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import Comm, exchange, offset, total
 from pdpetsc.discrete.components import rigid_at
+from pdpetsc.discrete.families import Families, with_pairs
 from pdpetsc.kernels.background import (
     add_at,
     add_elements,
@@ -187,10 +188,11 @@ class BackgroundGrid(Filler):
         self.cells = cells = Cells.of(problem)
         damage = problem.bond_damage
         kept = np.empty(0, dtype=bool) if damage is None else damage.bonds.intact
+        bonds, kept = with_pairs(problem.body.families.connecting_families, kept, problem.joined)
         cell, self._at = cells.locate(cloud.x[: cloud.n_owned])
-        element, of_element = self._elements(kept, cell)
+        element, of_element = self._elements(bonds, kept, cell)
         own_elements = np.unique(element[: cloud.n_owned])
-        number, own_nodes = self._numbers(kept, element, of_element, own_elements)
+        number, own_nodes = self._numbers(bonds, kept, element, of_element, own_elements)
         # Remove nodes that move no own particle.
         used, corners = np.unique(number[own_elements], return_inverse=True)
         self._corners = corners.reshape(len(own_elements), -1).astype(np.int32)
@@ -308,9 +310,9 @@ class BackgroundGrid(Filler):
         """Return the number of entries of the own rows of the matrix."""
         return len(self._columns) * self._dim**2
 
-    def _elements(self, kept: Mask, cell: GlobalIndex) -> tuple[LocalIndex, GlobalIndex]:
+    def _elements(self, families: Families, kept: Mask, cell: GlobalIndex) -> tuple[LocalIndex, GlobalIndex]:
         """Return the element of every local particle, -1 for mirror images, and the cell of each (collective)."""
-        cloud, families = self._cloud, self.problem.body.families.connecting_families
+        cloud = self._cloud
         of = np.zeros(cloud.n_local, dtype=np.int64)
         of[: cloud.n_owned] = np.ravel_multi_index(tuple(cell.T), tuple(self.cells.count))
         cloud.halo.forward(of)
@@ -336,7 +338,7 @@ class BackgroundGrid(Filler):
         return element, cells.astype(np.int64)
 
     def _numbers(
-        self, kept: Mask, element: LocalIndex, cell: GlobalIndex, own: GlobalIndex
+        self, families: Families, kept: Mask, element: LocalIndex, cell: GlobalIndex, own: GlobalIndex
     ) -> tuple[GlobalIndex, GlobalIndex]:
         """Return the global node number at every corner of the elements, and the nodes that this rank holds.
 
@@ -344,7 +346,7 @@ class BackgroundGrid(Filler):
         are one node, and so are corners of the same element on several ranks. The lowest rank with a particle at the
         node holds it (collective).
         """
-        cloud, families = self._cloud, self.problem.body.families.connecting_families
+        cloud = self._cloud
         nodes = self.cells.nodes(cell)
         n_corners = nodes.shape[1]
         parent = np.arange(nodes.size, dtype=np.int64)

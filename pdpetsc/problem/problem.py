@@ -167,6 +167,11 @@ class Problem:
         return found
 
     @property
+    def joined(self) -> LocalIndex:
+        """Return pairs (n, 2) of local particles that terms hold together in every direction (not collective)."""
+        return np.concatenate([term.joined for term in self.terms])
+
+    @property
     def parts(self) -> list[str]:
         """Return the names of the parts of the problem, for the run record (not collective)."""
         damage = [] if self.damage is None else [f"damage {self.damage.name}"]

@@ -128,6 +128,11 @@ class Term(ABC):
         return None
 
     @property
+    def joined(self) -> LocalIndex:
+        """Return pairs (n, 2) of local particles that the term holds together in every direction (not collective)."""
+        return np.empty((0, 2), dtype=np.int32)
+
+    @property
     def resultants(self) -> list[tuple[str, float, Float]]:
         """Return name, load parameter and total force (dim,) of each load, for the run record (not collective)."""
         return []

@@ -18,7 +18,7 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.damage.laws import Marking
 from pdpetsc.damage.point_damage import AssignedPointDamage
-from pdpetsc.declare.body_contact import BodyContact
+from pdpetsc.declare.body_contact import BodyContact, Tied
 from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -114,7 +114,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     along = chunk.x if axes is None else chunk.x @ axes.T
     together = None if patches is None else boxes(comm, along, patches.edge).astype(float)
     widest = largest(comm, float(np.max(reach, initial=0.0)))
-    beyond = max((one.beyond(widest) for one in case.conditions if isinstance(one, BodyContact)), default=0.0)
+    beyond = max((one.beyond(widest) for one in case.conditions if isinstance(one, BodyContact | Tied)), default=0.0)
     cloud = distribute(
         comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual, together, chunk.body, beyond
     )

@@ -209,7 +209,7 @@ def prepare(
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
         if problem.inertia is None:
-            refuse_rigid_motion(cloud, families, problem.resisted)
+            refuse_rigid_motion(cloud, families, problem.resisted, problem.joined)
     return Prepared(case, problem, chosen, phases)
 
 

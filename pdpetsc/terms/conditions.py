@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.declare.body_contact import BodyContact, ParticleContact
+from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
 from pdpetsc.declare.conditions import (
     BodyForce,
     Centrifugal,
@@ -49,6 +49,7 @@ from pdpetsc.terms.facet_contact import STIFFNESS
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.particle_contact import ParticleContactForces
 from pdpetsc.terms.surface_loads import SurfaceLoads
+from pdpetsc.terms.tied import TIED, TiedForces
 
 
 class Applied:
@@ -237,12 +238,26 @@ class Applied:
 
     def body_contact(self, condition: BodyContact, name: str) -> None:
         """Add the contact of two parts of the surface."""
+        one, other, stiffness, spacing = self._two_parts(condition, name)
+        self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name))
+
+    def tied(self, condition: Tied, name: str) -> None:
+        """Tie two parts of the surface."""
+        one, other, stiffness, spacing = self._two_parts(condition, name)
+        if condition.stiffness is None:
+            stiffness *= TIED
+        self.following.append(TiedForces(self.body, condition, one, other, stiffness, spacing, name))
+
+    def _two_parts(self, condition: BodyContact | Tied, name: str) -> tuple[Mask, Mask, float, float]:
+        """Return the facets of two parts of the surface, the stiffness between them and the coarser spacing."""
         surface = self.body.surface
         assert surface is not None
+        if self.cell is not None:
+            raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
         one, other = (surface.select(self.body.cloud, region, name) for region in (condition.region, condition.other))
         stiffness, spacing = min(self._contact_stiffness(condition, mask) for mask in (one, other))
         self._contacts.add(condition.name)
-        self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name))
+        return one, other, stiffness, spacing
 
     def particle_contact(self, condition: ParticleContact, name: str) -> None:
         """Add the repulsion of particles without a bond."""
@@ -261,7 +276,7 @@ class Applied:
             ParticleContactForces(self.body, mask, distance, stiffness, spacing, self._bonds, name, condition.name)
         )
 
-    def _contact_stiffness(self, condition: Contact | BodyContact, mask: Mask) -> tuple[float, float]:
+    def _contact_stiffness(self, condition: Contact | BodyContact | Tied, mask: Mask) -> tuple[float, float]:
         """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
         surface, comm = self.body.surface, self.body.cloud.comm
         assert surface is not None

@@ -5,8 +5,8 @@ with velocities in the shape of the first bending mode of Euler's beam. ``n`` ce
 it is a plate of thickness 1 in plane stress. ``solver=implicit`` takes ``steps`` steps a period, ``explicit`` those
 that are stable.
 
-Timoshenko: ``M = E I phi'``, ``Q = k G A (w' - phi)``, ``Q' = -rho A w^2 u``, ``M' + Q = -rho I w^2 phi`` with the shear
-coefficient ``k = 10 (1 + nu) / (12 + 11 nu)`` of a rectangle (Cowper 1966).
+Timoshenko: ``M = E I phi'``, ``Q = k G A (u' - phi)``, ``Q' = -rho A w^2 u``, ``M' + Q = -rho I w^2 phi`` with the
+shear coefficient ``k = 10 (1 + nu) / (12 + 11 nu)`` of a rectangle (Cowper 1966).
 
 Results: ``period`` of the deflection of the end, the mean over the run, ``frequency_over_timoshenko``, and the largest
 ``energy_error``.

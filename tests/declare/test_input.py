@@ -69,7 +69,7 @@ VALID = [
     pd.ReactionMoment("-x", (0.0, 0.0)), pd.ArcLength(0.1, 1.0), pd.Centrifugal(region.All(), 1.0, (0.0,)), pd.Modes(2),
     pd.RigidCylinder((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0), pd.Contact(region.All(), pd.RigidSphere((0.0, 0.0), 1.0)),
     pd.Bodies({"a": pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)}), pd.BodyContact("a +y", "b -y"),
-    pd.ParticleContact(),
+    pd.ParticleContact(), pd.Tied("a", "b"),
     pd.HeatConduction(), pd.HeatFlux(region.All(), 1.0), pd.HeatSource(region.All(), 1.0),
     pd.Convection(region.All(), 1.0, 1.0),
     pd.Eigenstrain(region.All(), xx=0.1), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0, 0), pd.SaintVenantKirchhoff(1.0, 0),

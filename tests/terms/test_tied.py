@@ -1,0 +1,101 @@
+"""Bodies of unlike spacings that are tied: patch test, tangent, ranks, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.commands import results
+
+E, NU = 1000.0, 0.3
+
+
+def stacked(dim=2, spacings=(0.25, 0.2), traction=(3.0, 10.0), **changes):
+    """Return a block on rollers with another one tied on top of it, which tractions pull and shear."""
+    low, high, one = (0.0,) * dim, (1.0,) * dim, np.eye(dim)[-1]
+    axis = "xyz"[dim - 1]
+    parts = {
+        "lower": pd.LatticeNodes(low, high, spacings[0]),
+        "upper": pd.LatticeNodes(tuple(low + one), tuple(high + one), spacings[1]),
+    }
+    shear, pull = traction
+    loads = [
+        pd.Traction(f"upper +{axis}", **{"x": shear, axis: pull}),
+        pd.Traction(f"lower -{axis}", **{"x": -shear, axis: -pull}),
+    ]
+    for name in parts:
+        loads += [
+            pd.Traction(f"{name} +x", **{axis: shear, "x": 0.0}),
+            pd.Traction(f"{name} -x", **{axis: -shear, "x": 0.0}),
+        ]
+    held = [pd.Displacement(pd.region.Nearest(low), **dict.fromkeys("xyz"[:dim], 0.0))]
+    held.append(pd.Displacement(pd.region.Nearest(np.eye(dim)[0]), **dict.fromkeys("xyz"[1:dim], 0.0)))
+    if dim == 3:
+        held.append(pd.Displacement(pd.region.Nearest(np.eye(dim)[1]), z=0.0))
+    case = pd.Case(
+        particles=pd.Bodies(parts),
+        material=pd.LinearElastic(E=E, nu=NU, **({"plane": "stress"} if dim == 2 else {})),
+        conditions=[*held, *loads, pd.Tied(f"lower +{axis}", f"upper -{axis}")],
+        fields=[pd.stress, pd.displacement],
+        history={"top": pd.Mean(pd.displacement, axis, f"upper +{axis}")},
+    )
+    return dataclasses.replace(case, **changes)
+
+
+@pytest.mark.parametrize(("dim", "spacings"), [(2, (0.25, 0.2)), (2, (0.1, 0.25)), (3, (0.5, 0.25))])
+def test_tension_and_shear_pass_uniformly(dim, spacings, tmp_path):
+    run = pd.run(stacked(dim, spacings), tmp_path)
+    stress, last = run.field("stress"), dim - 1
+    np.testing.assert_allclose(stress[:, last, last], 10.0, rtol=1e-6)
+    np.testing.assert_allclose(stress[:, 0, last], 3.0, rtol=1e-6)
+    np.testing.assert_allclose(stress[:, 0, 0], 0.0, atol=1e-5)
+    assert run.history[f"tie_{'xyz'[last]}"][-1] == pytest.approx(10.0, rel=1e-6)
+    # The tie lengthens by 1 / 1000 of a spacing times the strain.
+    assert run.history["top"][-1] == pytest.approx(2.0 * 10.0 / E, rel=1e-3)
+
+
+TEXT = """
+import pdpetsc as pd
+
+def case():
+    left, right = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125), pd.LatticeNodes((2.0, 0.0), (5.0, 1.0), 0.2)
+    parts = {"left": left, "right": right}
+    return pd.Case(
+        particles=pd.Bodies(parts),
+        material=pd.NeoHookean(E=1000.0, nu=0.3),
+        conditions=[pd.Clamp("left -x"), pd.Traction("right +x", y=-1.0), pd.Tied("left +x", "right -x")],
+        history={"tip": pd.Mean(pd.displacement, "y", "right +x")},
+        results=lambda h: {"tip": h["tip"][-1], "shear": h["tie_y"][-1]},
+    )
+"""
+
+
+def test_a_cantilever_of_two_lattices_bends_as_one(tmp_path):
+    """The force on the left part is that at its end; the deflection is that of a bar of one lattice, on any ranks."""
+    path = tmp_path / "bent.py"
+    path.write_text(TEXT)
+    one = results(path, ranks=1, output=tmp_path / "one")["results"]
+    assert one["shear"] == pytest.approx(-1.0, rel=1e-3)
+    whole = TEXT.replace("right +x", "+x").replace("pd.Bodies(parts)", "pd.LatticeNodes((0.0, 0.0), (5.0, 1.0), 0.125)")
+    whole = whole.replace('"left -x"', '"-x"').replace(', pd.Tied("left +x", "right -x")', "")
+    whole = whole.replace(', "shear": h["tie_y"][-1]', "")
+    path_whole = tmp_path / "whole.py"
+    path_whole.write_text(whole)
+    assert one["tip"] == pytest.approx(results(path_whole, output=tmp_path / "whole")["results"]["tip"], rel=0.01)
+    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", ["-pd_jacobian", "matfree"], 1)):
+        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=1e-6), name
+
+
+def test_what_cannot_be_tied_is_refused():
+    apart = stacked()
+    parts = apart.particles.parts
+    far = pd.LatticeNodes((0.0, 1.5), (1.0, 2.5), 0.2)
+    with pytest.raises(pd.CaseError, match=r"No facets of Tied condition 9 overlap within a gap of 0\.1 spacings"):
+        pd.prepare(dataclasses.replace(apart, particles=pd.Bodies({**parts, "upper": far})))
+    loose = dataclasses.replace(apart, conditions=apart.conditions[:-1])
+    with pytest.raises(pd.CaseError, match="rigid motions"):
+        pd.prepare(loose)

@@ -421,8 +421,9 @@ def check_declared(case: Case, dim: int) -> None:
     for number, (region, _) in enumerate(case.materials, 1):
         _in(f"Material {number}", region.check, dim)
     for number, condition in enumerate(case.conditions, 1):
-        if hasattr(condition, "region"):
-            _in(condition_name(condition, number), condition.region.check, dim)
+        for place in (getattr(condition, name, None) for name in ("region", "other")):
+            if place is not None:
+                _in(condition_name(condition, number), place.check, dim)
     for what, region in [] if case.damage is None else case.damage.places:
         _in(what, region.check, dim)
     case.solver.check(dim)

@@ -33,8 +33,9 @@ class BodyContact(Condition):
         Facets of the other part; the same region for the contact of a body with itself. Facets that face each other
         through the material do not touch.
     friction, stiffness, penetration, name
-        As for ``Contact``, with the coarser spacing of both sides. The columns are the force of the other part on the
-        region.
+        As for ``Contact``, with the coarser spacing of both sides. The columns ``NAME_x``, ... are the force of the
+        other part on the region. If facets belong to both parts, there is ``NAME_force`` instead, the sum of the
+        pressures times their areas.
     reach : float, optional
         Largest distance in the undeformed bodies of points that come into contact [length]; by default four of the
         largest horizons. A run in which the parts have moved further, relative to each other, fails. On several ranks
@@ -165,8 +166,8 @@ class ParticleContact(Condition):
     CaseError
         In a case: with a periodic cell or mirror planes.
     SolveError
-        With a matrix, on several ranks: particles touch that are further apart in the undeformed body than ranks
-        exchange. ``Explicit`` has no such limit.
+        With Newton's method or ``DynamicRelaxation`` on several ranks: particles touch that are further apart in the
+        undeformed body than ranks exchange. ``Explicit`` has no such limit.
 
     References
     ----------

@@ -12,7 +12,8 @@ from pdpetsc.declared import Count, Declared
 class Modes(Declared):
     """The lowest modes of the body in its last equilibrium, or the loads at which it buckles.
 
-    With mirror planes only the symmetric modes are found. Facets that a ``Contact`` presses are held by its stiffness.
+    With mirror planes only the symmetric modes are found. Facets that a ``Contact`` presses are held by its
+    stiffness; ``BodyContact`` is refused.
 
     Frequencies solve ``K phi = (2 pi f)^2 M phi`` with the tangent K of the last equilibrium and the masses ``M = rho
     V`` of the particles, from the ``density`` of their materials. A negative frequency -f stands for the growth

@@ -275,10 +275,13 @@ class Face(Region):
 
     def mask(self, view: View) -> Mask:
         """Return True for the outermost particles, or the outermost facets normal to the axis (collective)."""
-        layers = view.sets.get(f"fictitious {self.side}")
-        if layers is not None and view.normal is None and not self.of:
-            return layers
+        whole = f"{self.of} {self.side}"
+        if self.of and whole in view.sets:  # a set may have such a name
+            return view.sets[whole]
         among = Named(self.of).mask(view) if self.of else np.ones(len(view.x), dtype=bool)
+        layers = view.sets.get(f"fictitious {self.side}")
+        if layers is not None and view.normal is None and view.minimum(-float((layers & among).any())) < 0.0:
+            return np.asarray(layers & among)
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
         furthest = -view.minimum(float((-along[among]).min(initial=np.inf)))

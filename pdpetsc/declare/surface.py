@@ -12,6 +12,9 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declared import Declared, real_numbers, shown
 from pdpetsc.errors import CaseError
 
+# Vector areas may differ from those of the corners by this share of them.
+AREAS = 1e-6
+
 
 @dataclass(frozen=True)
 class Facets(Declared):
@@ -61,8 +64,14 @@ class Facets(Declared):
             raise CaseError(f"Facets take the number of one particle each, ({len(x)},), not {shown(self.particle)}.")
         if particle.size and particle.min() < 0:
             raise CaseError(f"Facets have a particle number {particle.min()}.")
-        if self.corners is not None and np.shape(self.corners) != (len(x), 4, 3):
-            raise CaseError(f"The corners of Facets are ({len(x)}, 4, 3), not {np.shape(self.corners)}.")
+        if self.corners is not None:
+            corners = real_numbers(self.corners)
+            if corners is None or corners.shape != (len(x), 4, 3):
+                raise CaseError(f"The corners of Facets are ({len(x)}, 4, 3), not {np.shape(self.corners)}.")
+            turn = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+            off = np.minimum(np.abs(turn - area).max(axis=1), np.abs(turn + area).max(axis=1))
+            if not (off <= AREAS * np.linalg.norm(area, axis=1)).all():
+                raise CaseError("Facets have corners with other vector areas than declared; give them in turn.")
         for name, flags in self.tags.items():
             found = np.asarray(flags)
             if found.dtype != bool or found.shape != (len(x),):

@@ -165,7 +165,7 @@ class Cloud:
 def distribute(
     comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float | Float, cell: Cell | None = None,
     planes: Sequence[Symmetry] = (), mutual: bool = False, together: Float | None = None,
-    body: GlobalIndex | None = None, beyond: float = 0.0,
+    body: GlobalIndex | None = None, beyond: float | Float = 0.0,
 ) -> Cloud:  # fmt: skip
     """Partition particles over the ranks, number them and create the ghosts of every rank.
 
@@ -185,9 +185,9 @@ def distribute(
         Positions for the partition, equal for particles that must be on one rank; by default their own positions.
     body : (n,) int64, optional
         Number of the body of each particle that this rank created.
-    beyond : float
-        Ghosts are also the particles that are further than a horizon from own particles by at most this length
-        [length].
+    beyond : float, or (n,) float64
+        Ghosts are also the particles that are further than a horizon from own particles by at most this length: one
+        value, or one for each particle that this rank created [length].
 
     Returns
     -------
@@ -219,13 +219,14 @@ def distribute(
     reach = np.array(np.broadcast_to(np.asarray(horizon, dtype=float), len(x)))
     refuse_beyond(comm, planes, x, reach)
     number_of = np.zeros(len(x), dtype=np.int64) if body is None else body
-    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach, number_of]
-    (x, volume, gid, flags, reach, number_of), _ = exchange(
+    further = np.array(np.broadcast_to(np.asarray(beyond, dtype=float), len(x)))
+    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach, number_of, further]
+    (x, volume, gid, flags, reach, number_of, further), _ = exchange(
         comm, bisect(comm, x if together is None else together), arrays
     )
     order = _near_in_memory(x, gid, reach)
     x, volume, gid, flags, reach = x[order], volume[order], gid[order], flags[order], reach[order]
-    number_of = number_of[order]
+    number_of, further = number_of[order], further[order]
     widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))
     n_owned = len(x)
     first = offset(comm, n_owned)
@@ -235,7 +236,7 @@ def distribute(
     if cell is not None:
         periods = [n * cell.lengths for n in shifts(cell, widest * (1.0 + HORIZON_TOLERANCE))]
     places = Places.of(dim, planes, periods)
-    wide = reach + beyond
+    wide = reach + further
     ghosts, counts = _candidates(comm, x, wide, [volume, gid, row, flags, number_of, reach], places, mutual)
     near = _within(x, wide, ghosts[0], ghosts[1], mutual)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]

@@ -99,6 +99,11 @@ def largest(comm: Comm, value: float) -> float:
     return float(_reduced(comm, float(value), MPI.MAX))
 
 
+def all_largest(comm: Comm, values: Any) -> NDArray[Any]:
+    """Return the maximum over ranks of each number of an array (collective)."""
+    return _reduced(comm, values, MPI.MAX)
+
+
 def smallest(comm: Comm, value: float) -> float:
     """Return the minimum over ranks of a number (collective)."""
     return float(_reduced(comm, float(value), MPI.MIN))

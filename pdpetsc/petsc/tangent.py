@@ -41,7 +41,7 @@ class PetscTangent(ABC):
 
     @abstractmethod
     def renew(self) -> bool:
-        """Update after bonds have broken or mended; return True if ``preconditioner`` was replaced."""
+        """Update after bonds have broken or mended, or terms couple others; return True if a matrix was replaced."""
 
     def equip(self, ksp: PETSc.KSP) -> None:  # noqa: B027
         """Set properties of a linear solver that options cannot set, such as levels of multigrid.

@@ -123,14 +123,13 @@ class Assembler(Filler):
 
 def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:
     """Return the stencils of all terms; if a term couples whole families, the families replace stencils within them."""
-    terms = [term for term in problem.terms if term.stencils is not None]
+    terms, found = list(problem.terms), []
     if any(term.whole_families for term in terms):
         whole = problem.body.with_centres
         found = [(whole.point_ptr, whole.members)]
         terms = [term for term in terms if not term.within_families]
-    else:
-        found = []
-    found += [term.stencils for term in terms if term.stencils is not None]
+    of_terms = [term.stencils for term in terms]
+    found += [stencils for stencils in of_terms if stencils is not None]
     if len(found) == 1:
         return found[0]
     if not found:

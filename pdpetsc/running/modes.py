@@ -82,7 +82,7 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
     elif problem.material_term.has_history:
         wrong = "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     elif not problem.symmetric:
-        wrong = "need a symmetric tangent: no friction and no pressure that follows"
+        wrong = "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
     elif not isinstance(case.solver, Newton):
         wrong = "need the tangent of load steps: let the solver be Newton()"
     elif declared.of == "buckling" and problem.material_term.linear:

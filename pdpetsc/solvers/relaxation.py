@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -102,7 +103,12 @@ class RelaxationSolver(LoadStepSolver):
         unknowns, result = self._relax(np.where(self._free, u, self._prescribed))
         while result.converged and self.problem.follow(self.problem.state(self._completed(unknowns), t)):
             unknowns, result = self._relax(unknowns)
-        return self._completed(unknowns), result
+        moved = self._completed(unknowns)
+        if result.converged:
+            objection = self.problem.objection(self.problem.state(moved, t))
+            if objection:
+                result = replace(result, converged=False, reason=objection)
+        return moved, result
 
     def _relax(self, start: Float) -> tuple[Float, StepResult]:
         """Integrate from unknowns ``start`` to rest; dependent unknowns do not change."""

@@ -172,8 +172,6 @@ class SnesSolver(StepSolver):
                 sought.reason = objection or sought.reason
                 return not objection, linear
             sought.reason = ""
-            if sought.tangent.renew():
-                self._use_tangent()
             linear += self._iterate(found)
             resting = sought.at_rest(self._read(self._x), self._rtol)
         sought.reason = UNSETTLED
@@ -181,7 +179,11 @@ class SnesSolver(StepSolver):
 
     def _unchanged(self, state: State) -> bool:
         """Let the terms follow an equilibrium; return True if it is one of the changed forces too."""
-        if not self.problem.follow(state):
+        pattern = self.problem.pattern
+        followed = self.problem.follow(state)
+        if self.problem.pattern != pattern and self._equilibrium.tangent.renew():
+            self._use_tangent()
+        if not followed:
             return True
         reason, seen = self._equilibrium.reason, len(self._equilibrium.norms)
         kept = self._judged(self._x)

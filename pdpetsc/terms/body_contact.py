@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.declare.body_contact import BodyContact
-from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.discrete.communicator import all_largest, largest, smallest, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
+from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.terms.facet_contact import OVERLAP, ContactProduct, FacetContact, Points
 from pdpetsc.terms.facing import Ends, Pairs, Search, both_ends, sides_of
 
 # Gap up to which facets form a pair, in spacings.
 NEAR = 0.5
-# Penetration beyond which facets that face each other have the material between them, in spacings.
+# Penetration beyond which facets have passed through each other, in spacings at the finer one of both.
 THROUGH = 0.9
+# Thickness of material up to which facets of both parts that face each other through it never touch, in spacings.
+DEEP = 4.0
 
 
 class BodyContactForces(FacetContact):
@@ -57,20 +60,33 @@ class BodyContactForces(FacetContact):
         cloud = body.cloud
         self._reach = declared.reach_at(cloud.horizon)
         mine, self._theirs, theirs = sides_of(body, one, other, self._reach, name)
-        # One point for each flat part of the surface of a particle: the displacement cannot follow more of them.
-        self._part = mine.parts
+        # One multiplier for each flat part of the surface of a particle and each body before it: the displacement
+        # cannot follow more of them.
+        self._part, self._bodies = mine.parts, 1
+        self._body_of_other = np.zeros(len(theirs.x), dtype=np.int64)
+        if cloud.body is not None:
+            self._bodies = 1 + int(largest(cloud.comm, float(cloud.body.max(initial=0))))
+            self._body_of_other = cloud.body[theirs.particle]
         first = np.unique(self._part, return_index=True)[1]
         super().__init__(
-            body, mine.owner[first], declared.friction, stiffness, spacing, declared.penetration, f"A body of {name}",
-            declared.name,
+            body, np.repeat(mine.owner[first], self._bodies), declared.friction, stiffness, spacing,
+            declared.penetration, f"A body of {name}", declared.name,
         )  # fmt: skip
         self.symmetric = False
         self.works = self._mu > 0.0
-        self._search = Search(cloud, mine, theirs, NEAR * spacing)
+        # Spacing at the facets of both sides: thin walls are not thinner than this.
+        apart = np.zeros(cloud.n_local)
+        apart[: cloud.n_owned] = nearest_distances(body)
+        cloud.halo.forward(apart)
+        self._local = apart[mine.particle], apart[theirs.particle]
         # Displacements of local particles at the start of this step.
         self._before = np.zeros((cloud.n_local, body.dim))
+        self._search = Search(cloud, mine, theirs, NEAR * spacing)
+        self._search.leave_out_material(self._before, DEEP * spacing)
         self._search.renew(self._before)
         self.pattern = self._search.version
+        # Of facets of both parts which one is the first of a pair has no meaning.
+        self._of_itself = int(total(cloud.comm, np.count_nonzero(mine.both))) > 0
         overlap = float(np.max(-self._formed(self._before).gap, initial=0.0))
         overlap = largest(cloud.comm, overlap)
         if overlap > OVERLAP * spacing:
@@ -80,21 +96,34 @@ class BodyContactForces(FacetContact):
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
-        """Return the members of all near facets (not collective)."""
-        pairs = self._search.near_pairs
-        ends = self._ends(pairs)
-        return ends.ptr, ends.members
-
-    @property
-    def _areas_of_particles(self) -> Float:
-        one = self._search.one
-        return np.bincount(one.owner, one.areas, self.body.cloud.n_owned).astype(float)
+        """Return the members of all near facets, once for each pair of their particles (not collective)."""
+        search = self._search
+        one, other = search.near
+        n = self.body.cloud.n_local
+        # All facets of a particle have the same members.
+        _, first = np.unique(
+            search.one.particle[one].astype(np.int64) * n + search.other.particle[other], return_index=True
+        )
+        first.sort()
+        entry, ptr = entries_of(search.one.ptr, one[first])
+        other_entry, other_ptr = entries_of(search.other.ptr, other[first])
+        row = np.concatenate([np.repeat(np.arange(len(p) - 1), np.diff(p)) for p in (ptr, other_ptr)])
+        members = np.concatenate([search.one.members[entry], search.other.members[other_entry]])
+        return ptr + other_ptr, members[np.argsort(row, kind="stable")]
 
     def _formed(self, u: Float) -> Pairs:
         """Return the pairs of facets that may touch, for displacements of local particles (n_local, dim)."""
         pairs = self._search.pairs(u)
-        pairs = pairs.chosen((pairs.gap > -THROUGH * self._spacing) & (pairs.gap < NEAR * self._spacing))
-        return pairs.chosen(np.argsort(self._part[pairs.rows], kind="stable"))
+        pairs = pairs.chosen((pairs.gap > -self._through(pairs)) & (pairs.gap < NEAR * self._spacing))
+        return pairs.chosen(np.argsort(self._multiplier(pairs), kind="stable"))
+
+    def _multiplier(self, pairs: Pairs) -> GlobalIndex:
+        """Return the number of the multiplier of each pair."""
+        return np.asarray(self._part[pairs.rows] * self._bodies + self._body_of_other[pairs.other_rows])
+
+    def _through(self, pairs: Pairs) -> Float:
+        """Return the penetration beyond which facets have passed through each other (n_pairs,) [length]."""
+        return np.asarray(THROUGH * np.minimum(self._local[0][pairs.rows], self._local[1][pairs.other_rows]))
 
     def _pairs(self, state: State) -> Pairs:
         u = state.u_local
@@ -108,7 +137,7 @@ class BodyContactForces(FacetContact):
         ends = self._ends(pairs)
         stencils = StencilMembers(self._search.one.owner[pairs.rows], ends.ptr, ends.members)
         x = self._search.one.x[pairs.rows] + pairs.one
-        return Points(x, pairs.area, self._part[pairs.rows], stencils, ends.weights)
+        return Points(x, pairs.area, self._multiplier(pairs), stencils, ends.weights)
 
     def _ends(self, pairs: Pairs) -> Ends:
         """Return the particles that both points of pairs move with."""
@@ -153,7 +182,7 @@ class BodyContactForces(FacetContact):
             hs += [ends.G[:, side, axis, None] * force[ends.of] for axis in range(dim)]
             gs += [ends.rates(by_point[:, axis]) for axis in range(dim)]
         # The pressure of all pairs of a part depends on their mean gap.
-        part, first, number = np.unique(self._part[pairs.rows], return_index=True, return_inverse=True)
+        part, first, number = np.unique(self._multiplier(pairs), return_index=True, return_inverse=True)
         whole = np.bincount(number, pairs.area, len(part))[number]
         off = pairs.gap - self._felt(state)[touching.rows]
         by_mean = (pairs.area / whole)[:, None] * J[:, GAP] + (off / whole)[:, None] * J[:, AREA]
@@ -186,16 +215,22 @@ class BodyContactForces(FacetContact):
             found.append(ContactProduct(members, cloud.n_owned, side.N, side.areas[:, None, None] * block))
         return found
 
+    def start_from(self, state: State) -> None:
+        """Continue with the tractions at the end of the last step, and with the facets that are near at its start."""
+        super().start_from(state)
+        self.follow(state)
+
     def _step_from(self, state: State) -> None:
         self._before = state.u_local.copy()
-        self.follow(state)
 
     def follow(self, state: State) -> bool:
         """Update which facets are near; return False if nothing touches before and after."""
-        pressed = self._pressed(state)
-        if not self._search.renew(state.u_local):
+        u, search = state.u_local, self._search
+        if not search.due(u):
             return False
-        self.pattern = self._search.version
+        pressed = self._pressed(state)
+        search.renew(u)
+        self.pattern = search.version
         self.version += 1
         return self._pressed(state) or pressed
 
@@ -204,15 +239,15 @@ class BodyContactForces(FacetContact):
 
     def objection(self, state: State) -> str:
         """Return a reason if facets have passed through each other in the step."""
-        u, through = state.u_local, THROUGH * self._spacing
+        u, comm = state.u_local, self.body.cloud.comm
         change = u - self._before
         most = self._apart(change)
-        if most < 0.5 * through:
+        if most < 0.5 * THROUGH * smallest(comm, float(min(one.min(initial=np.inf) for one in self._local))):
             return ""
         deep = self._search.passed(u, most)
-        deep = deep.chosen(deep.gap <= -through)
+        deep = deep.chosen(deep.gap <= -self._through(deep))
         before = deep.gap - (deep.normal * self._joined_points(deep).moved(change)).sum(axis=1)
-        passed = int(total(self.body.cloud.comm, np.count_nonzero(before > -through)))
+        passed = int(total(comm, np.count_nonzero(before > -self._through(deep))))
         return f"bodies of {self._name} passed through each other in one step" if passed else ""
 
     def commit(self, state: State) -> None:
@@ -227,11 +262,51 @@ class BodyContactForces(FacetContact):
 
     def _apart(self, u: Float) -> float:
         """Return a bound on the relative displacements of both parts [length] (collective)."""
-        comm, ranges = self.body.cloud.comm, []
-        for side in (self._search.one, self._theirs):
-            flat = (side.deformed(u) - side.corners)[:, :, : self.body.dim].reshape(-1, self.body.dim)
-            least = [smallest(comm, float(along.min(initial=np.inf))) for along in flat.T]
-            most = [largest(comm, float(along.max(initial=-np.inf))) for along in flat.T]
-            ranges.append((np.array(least), np.array(most)))
-        (low, high), (least_other, most_other) = ranges
-        return float(np.linalg.norm(np.maximum(high - least_other, most_other - low)))
+        # The largest of both signs of all components.
+        most = [
+            np.concatenate([sign * moved.reshape(-1, moved.shape[2]) for sign in (1.0, -1.0)], axis=1).max(
+                axis=0, initial=-np.inf
+            )
+            for moved in (
+                (side.deformed(u) - side.corners)[:, :, : self.body.dim] for side in (self._search.one, self._theirs)
+            )
+        ]
+        high, other = np.split(all_largest(self.body.cloud.comm, np.concatenate(most)), 2)
+        dim = self.body.dim
+        return float(np.linalg.norm(np.maximum(high[:dim] + other[dim:], high[dim:] + other[:dim])))
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return the force on the first part by component, area in contact and violation of the gap.
+
+        The first part has no meaning where facets belong to both: the sum of the normal forces takes its place.
+        """
+        found = dict(super().numbers())
+        if not self._of_itself:
+            return found
+
+        def normal_force(state: State) -> float:
+            touching = self._touching(state)
+            normal = (touching.traction * self._gap(state)[1][touching.rows]).sum(axis=1)
+            return float(self._points(state).area[touching.rows] @ normal)
+
+        components = {f"{self._name}_{axis}" for axis in "xyz"[: self.body.dim]}
+        return {f"{self._name}_force": normal_force} | {key: one for key, one in found.items() if key not in components}
+
+    def fields(self) -> Mapping[str, Callable[[State], Float]]:
+        """Return the mean tractions on the facets of the own particles, of both parts (n_owned, dim) [stress]."""
+        cloud, sides = self.body.cloud, (self._search.one, self._theirs)
+        area = np.zeros(cloud.n_owned)
+        area += np.bincount(sides[0].owner, sides[0].areas, cloud.n_owned)
+        alone = ~sides[1].both
+        area += np.bincount(sides[1].owner[alone], sides[1].areas[alone], cloud.n_owned)
+
+        def traction(state: State) -> Float:
+            rows, pairs, search = self._touching(state).rows, self._pairs(state), self._search
+            force = pairs.area[rows, None] * self._in_space(state)
+            values = np.zeros((cloud.n_local, self.body.dim))
+            np.add.at(values, search.one.particle[pairs.rows[rows]], force)
+            np.add.at(values, search.other.particle[pairs.other_rows[rows]], -force)
+            cloud.halo.reverse(values)
+            return np.asarray(values[: cloud.n_owned] / np.where(area > 0.0, area, 1.0)[:, None])
+
+        return {f"{self._name}_traction": traction}

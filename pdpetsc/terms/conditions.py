@@ -232,8 +232,8 @@ class Applied:
             condition.tool.check(cloud.dim)
         assert self.body.surface is not None
         mask = self.body.surface.select(cloud, condition.region, name)
+        self._take_name(condition.name)
         stiffness, spacing = self._contact_stiffness(condition, mask)
-        self._contacts.add(condition.name)
         self.following.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
 
     def body_contact(self, condition: BodyContact, name: str) -> None:
@@ -255,9 +255,9 @@ class Applied:
         if self.cell is not None:
             raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
         one, other = (surface.select(self.body.cloud, region, name) for region in (condition.region, condition.other))
-        stiffness, spacing = min(self._contact_stiffness(condition, mask) for mask in (one, other))
-        self._contacts.add(condition.name)
-        return one, other, stiffness, spacing
+        self._take_name(condition.name)
+        found = [self._contact_stiffness(condition, mask) for mask in (one, other)]
+        return one, other, min(stiffness for stiffness, _ in found), max(spacing for _, spacing in found)
 
     def particle_contact(self, condition: ParticleContact, name: str) -> None:
         """Add the repulsion of particles without a bond."""
@@ -265,7 +265,7 @@ class Applied:
         if cloud.images is not None or len(cloud.sign):
             raise CaseError(f"{name} does not act on images. Leave out the cell and mirror planes.")
         mask = select(cloud, condition.region, name)
-        self._contacts.add(condition.name)
+        self._take_name(condition.name)
         apart = nearest_distances(self.body)[mask]
         spacing = float(total(cloud.comm, apart.sum()) / total(cloud.comm, len(apart)))
         stiffness = condition.stiffness
@@ -276,12 +276,16 @@ class Applied:
             ParticleContactForces(self.body, mask, distance, stiffness, spacing, self._bonds, name, condition.name)
         )
 
+    def _take_name(self, name: str) -> None:
+        """Raise CaseError if a contact or tie has this name already: it is the prefix of columns."""
+        if name in self._contacts:
+            raise CaseError(f"Two contacts are named {name!r}; give each a name.")
+        self._contacts.add(name)
+
     def _contact_stiffness(self, condition: Contact | BodyContact | Tied, mask: Mask) -> tuple[float, float]:
         """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
         surface, comm = self.body.surface, self.body.cloud.comm
         assert surface is not None
-        if condition.name in self._contacts:
-            raise CaseError(f"Two contacts are named {condition.name!r}; give each a name.")
         owner = surface.owner[mask]
         apart = nearest_distances(self.body)[owner]
         spacing = float(total(comm, apart.sum()) / total(comm, len(apart)))

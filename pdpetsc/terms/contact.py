@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -79,10 +79,6 @@ class ContactForces(FacetContact):
     def _points(self, state: State) -> Points:
         return self._at
 
-    @property
-    def _areas_of_particles(self) -> Float:
-        return np.bincount(self._owner, self._at.area, self.body.cloud.n_owned).astype(float)
-
     def _seen(self, state: State) -> tuple[Float, Float]:
         """Compute the displacements of the facets as seen from the tool, and its rotation (collective)."""
         u = state.u_local
@@ -147,3 +143,16 @@ class ContactForces(FacetContact):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""
         return {**super().arrays(), f"{self._name}_slid": KeptArray(self._owner, self._slid_end)}
+
+    def fields(self) -> Mapping[str, Callable[[State], Float]]:
+        """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
+
+        def traction(state: State) -> Float:
+            rows, points = self._touching(state).rows, self._at
+            owner, n = points.stencils.owner, self.body.cloud.n_owned
+            values = np.zeros((n, self.body.dim))
+            np.add.at(values, owner[rows], points.area[rows, None] * self._in_space(state))
+            area = np.bincount(owner, points.area, n)
+            return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
+
+        return {f"{self._name}_traction": traction}

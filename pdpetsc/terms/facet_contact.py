@@ -359,21 +359,3 @@ class FacetContact(Term):
         """
         rows, points = self._touching(state).rows, self._points(state)
         return points.x[rows], self._in_space(state), points.area[rows]
-
-    def fields(self) -> Mapping[str, Callable[[State], Float]]:
-        """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
-
-        def traction(state: State) -> Float:
-            rows, points = self._touching(state).rows, self._points(state)
-            owner = points.stencils.owner
-            values = np.zeros((self.body.cloud.n_owned, self.body.dim))
-            np.add.at(values, owner[rows], points.area[rows, None] * self._in_space(state))
-            area = self._areas_of_particles
-            return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
-
-        return {f"{self._name}_traction": traction}
-
-    @property
-    @abstractmethod
-    def _areas_of_particles(self) -> Float:
-        """Return the area of the facets of each own particle (n_owned,) [area]."""

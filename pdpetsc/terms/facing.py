@@ -74,6 +74,12 @@ class Side:
         return np.asarray(np.linalg.norm(self.offsets[:, :, : self.x.shape[1]], axis=2).max(axis=1))
 
     @cached_property
+    def particle(self) -> LocalIndex:
+        """Return the local particle whose cell each facet bounds (n,), on any rank: the first of its members."""
+        found: LocalIndex = self.members[self.ptr[:-1]]
+        return found
+
+    @cached_property
     def offsets(self) -> Float:
         """Return the corners relative to the centroids (n, 4, 3) [length]."""
         found = self.corners.copy()
@@ -350,36 +356,43 @@ class Search:
         self._sizes = one.sizes, other.sizes
         self._found_at: tuple[Float, Float] | None = None
         self.near = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        self._left_out = np.empty(0, dtype=np.int64)
         self.version = 0
 
-    def renew(self, u: Float) -> bool:
-        """Search near facets if the sides have moved too far since the last search; return True then (collective).
+    def leave_out_material(self, u: Float, depth: float) -> None:
+        """Leave out pairs of facets of both parts that face each other through material thinner than ``depth``.
+
+        These are the pairs with a negative gap at displacements ``u``, those of the undeformed body (not collective).
+        """
+        through = self.passed(u, depth)
+        twice = self.one.both[through.rows] & self.other.both[through.other_rows]
+        through = through.chosen(twice & (through.gap < -1e-6 * depth))
+        self._left_out = np.unique(through.rows * len(self.other.x) + through.other_rows)
+
+    def due(self, u: Float) -> bool:
+        """Return True if the sides have moved too far since the last search (collective).
 
         ``u`` (n_local, dim) are the displacements of local particles.
         """
+        if self._found_at is None:
+            return True
         y = self.one.deformed(u), self.other.deformed(u)
-        room = -1.0
-        if self._found_at is not None:
-            apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(y, self._found_at, strict=True)]
-            room = self._slack - float(np.sqrt(self._cloud.dim) * sum(apart))
-        if int(total(self._cloud.comm, int(room < 0.0))) == 0:
-            return False
-        # Twice as far as is necessary, so that the next states do not require a search.
+        apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(y, self._found_at, strict=True)]
+        room = self._slack - float(np.sqrt(self._cloud.dim) * sum(apart))
+        return int(total(self._cloud.comm, int(room < 0.0))) > 0
+
+    def renew(self, u: Float) -> None:
+        """Search the facets that are near (not collective).
+
+        They are searched twice as far as is necessary, so that the next states do not require a search.
+        """
+        y = self.one.deformed(u), self.other.deformed(u)
         self.near, self._found_at = self._within(y, 2.0 * self._slack), y
         self.version += 1
-        return True
 
     def pairs(self, u: Float) -> Pairs:
         """Return the near pairs that overlap (not collective)."""
         return self._overlapping((self.one.deformed(u), self.other.deformed(u)), *self.near)
-
-    @property
-    def near_pairs(self) -> Pairs:
-        """Return the near facets as pairs without overlap."""
-        one, other = self.near
-        n, dim = len(one), self._cloud.dim
-        nothing, vectors = np.zeros(n), np.zeros((n, dim))
-        return Pairs(one, other, nothing, nothing, vectors, vectors, vectors)
 
     def passed(self, u: Float, slack: float) -> Pairs:
         """Return the pairs that overlap of facets nearer than ``slack`` [length] (not collective)."""
@@ -424,5 +437,7 @@ class Search:
         twice = self.one.both[one] & self.other.both[other]
         kept &= ~twice | (self.one.key[one] < self.other.key[other])
         one, other = one[kept].astype(np.int64), other[kept].astype(np.int64)
+        kept = ~np.isin(one * len(self.other.x) + other, self._left_out)
+        one, other = one[kept], other[kept]
         order = np.lexsort((self.other.key[other], one))
         return one[order], other[order]

@@ -22,6 +22,8 @@ from pdpetsc.terms.facet_contact import ContactProduct
 
 # Distance beyond that of contact up to which pairs are listed, in spacings.
 SLACK = 0.5
+# Particles that come nearer than this share of their distance of contact, and part again, have passed each other.
+PASSING = 0.5
 
 
 @dataclass(frozen=True)
@@ -110,10 +112,13 @@ class ParticleContactForces(Term):
         members = members[(members >= 0).all(axis=1)]
         return np.arange(0, 2 * len(members) + 1, 2, dtype=np.int64), members.ravel()
 
-    def _searched(self, u: Float) -> _Near:
-        """Find the pairs that may touch at displacements of the own particles (n_owned, dim) (collective)."""
+    def _searched(self, u: Float, further: float = 0.0) -> _Near:
+        """Find the pairs that may touch at displacements of the own particles (n_owned, dim), or a little later.
+
+        ``further`` is the distance by which two particles may come nearer [length] (collective).
+        """
         cloud, comm, dim, n = self.body.cloud, self.body.cloud.comm, self.body.dim, self.body.cloud.n_owned
-        reach = self._distance + SLACK * self._spacing
+        reach = self._distance + SLACK * self._spacing + further
         own, y = self._rows, cloud.x[:n] + u
         box = np.concatenate([y[own].min(axis=0, initial=np.inf), y[own].max(axis=0, initial=-np.inf)])
         boxes = np.array(comm.allgather(box))
@@ -240,9 +245,13 @@ class ParticleContactForces(Term):
     @property
     def _free(self) -> Mask:
         """Return which pairs have no bond."""
-        near = self._near
-        free: Mask = near.bond < 0
-        return free if self._bonds is None else free | ~self._bonds.intact[near.bond]
+        return self._without_bond(self._near.bond)
+
+    def _without_bond(self, bond: GlobalIndex) -> Mask:
+        free: Mask = bond < 0
+        if self._bonds is not None:
+            free[~free] = ~self._bonds.intact[bond[~free]]
+        return free
 
     def energy(self, state: State) -> float:
         """Return ``sum k (r0 - r)^2 / 2`` of this rank [energy]."""
@@ -267,14 +276,28 @@ class ParticleContactForces(Term):
         return int(total(comm, pressed + len(self._pressed(state)[0]))) > 0
 
     def objection(self, state: State) -> str:
-        """Return a reason if particles have moved far in the step while some touch: they may have passed others."""
-        comm = self.body.cloud.comm
-        moved = largest(comm, float(np.linalg.norm(state.own - self._before, axis=1).max(initial=0.0)))
-        touch = int(total(comm, len(self._pressed(state)[0]))) > 0
-        far = touch and moved > 0.5 * self._distance
-        return (
-            f"particles of {self._name} that touch moved by more than half of their distance in one step" if far else ""
-        )
+        """Return a reason if particles without a bond have passed each other on their straight ways in the step."""
+        comm, n = self.body.cloud.comm, self.body.cloud.n_owned
+        change = state.own - self._before
+        mean = total(comm, change.sum(axis=0)) / self.body.cloud.n_global
+        moved = largest(comm, float(np.linalg.norm(change - mean, axis=1).max(initial=0.0)))
+        if 2.0 * moved <= PASSING * self._distance:
+            return ""
+        near = self._searched(self._before, 2.0 * moved)
+        v = np.empty((n + near.halo.n_ghost, 2 * self.body.dim))
+        v[:n] = np.concatenate([self._before, change], axis=1)
+        near.halo.forward(v)
+        start, way = np.split(v[near.one] - v[near.other], 2, axis=1)
+        start = near.xi + start
+        square = np.maximum((way**2).sum(axis=1), np.finfo(float).tiny)
+        at = np.clip(-(start * way).sum(axis=1) / square, 0.0, 1.0)
+        least = np.linalg.norm(start + at[:, None] * way, axis=1)
+        end = start + way
+        gone = (np.linalg.norm(end, axis=1) >= near.r0) | ((start * end).sum(axis=1) < 0.0)
+        apart = np.linalg.norm(start, axis=1) >= PASSING * near.r0
+        passed = self._without_bond(near.bond) & (least < PASSING * near.r0) & gone & apart
+        count = int(total(comm, np.count_nonzero(passed)))
+        return f"particles of {self._name} passed through each other in one step" if count else ""
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
         """Return the number of pairs that are pressed, and the largest ``r0 - r`` over the spacing."""

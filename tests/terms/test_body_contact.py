@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.region import View
 from tests.commands import results
 
 E, NU = 1000.0, 0.3
@@ -260,7 +261,8 @@ def test_a_body_touches_itself(tmp_path):
         history={"push": pd.Reaction("y", end)},
     )
     run = pd.run(case, tmp_path)
-    force = np.abs(run.history["arms_y"])
+    force = np.array(run.history["arms_force"])
+    assert "arms_y" not in run.history  # of a pair no arm is the first
     assert (force[:5] == 0.0).all() and force[-1] > 1.0
     assert 0.0 < run.history["arms_area"][-1] < 1.0
     free = dataclasses.replace(case, conditions=case.conditions[:2])
@@ -287,12 +289,81 @@ def test_a_step_in_which_bodies_pass_through_each_other_is_halved(tmp_path):
     assert run.history["pair_y"][-1] < -50.0 and len(run.history["pair_y"]) > 2
 
 
+def test_a_wall_does_not_touch_itself_through_the_material():
+    """A box with walls of one cell: faces look at each other through the wall and, over the hollow, from afar."""
+    box = pd.LatticeNodes((0.0, 0.0), (2.0, 2.0), 0.25, cut=pd.region.Box((0.25, 0.25), (1.75, 1.75)))
+    case = stacked()
+    itself = pd.BodyContact(pd.region.All(), pd.region.All(), name="walls")
+    case = dataclasses.replace(case, particles=box, conditions=[pd.Clamp("-y"), itself], history={})
+    problem, term = problem_of(case)
+    n = problem.body.cloud.n_owned
+    x = problem.body.cloud.x[:n]
+    # The wall on the right becomes thinner by a third.
+    u = np.where(x[:, :1] > 1.9, -0.08, 0.0) * (1.0, 0.0)
+    state = problem.state(u, 0.5)
+    term.start_from(state)
+    assert len(term.of_facets(state)[2]) == 0
+
+
+def test_a_step_that_failed_leaves_the_near_facets_of_its_start():
+    problem, term = problem_of(stacked())
+    n, sets = problem.body.cloud.n_owned, problem.body.cloud.sets
+    rest = problem.state(np.zeros((n, 2)), 0.0)
+    term.commit(rest)
+    term.start_from(rest)
+    near = len(term._search.near[0])
+    far = problem.state(np.where(sets["upper"][:n, None], 3.0, 0.0) * (0.0, 1.0), 0.5)
+    term.follow(far)
+    assert len(term._search.near[0]) == 0
+    problem.revert()
+    term.start_from(problem.state(np.zeros((n, 2)), 0.0))
+    assert len(term._search.near[0]) == near > 0
+
+
+def test_bodies_of_two_heights_are_felt_one_by_one(tmp_path):
+    """A coarse block before two fine ones, of which one is lower: it does not touch until it is reached."""
+    lower = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.5)
+    high, low = pd.LatticeNodes((0.0, 1.0), (1.0, 2.0), 0.125), pd.LatticeNodes((1.0, 1.1), (2.0, 2.0), 0.1)
+    case = dataclasses.replace(
+        stacked(),
+        particles=pd.Bodies({"lower": lower, "high": high, "low": low}),
+        conditions=[
+            pd.Clamp("lower -y"),
+            pd.Displacement("high +y", x=0.0, y=-0.02),
+            pd.Displacement("low +y", x=0.0, y=-0.02),
+            pd.BodyContact("lower +y", pd.region.Named("high") | pd.region.Named("low"), name="pair"),
+        ],
+        history={"high": pd.Reaction("y", "high +y"), "low": pd.Reaction("y", "low +y")},
+    )
+    run = pd.run(case, tmp_path)
+    assert abs(run.history["low"][-1]) < 1e-9 * abs(run.history["high"][-1])
+
+
+def test_the_side_of_a_body_has_its_layers_and_named_sets_come_first():
+    lower = pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.25, fictitious={"-y": 0.5})
+    bodies = pd.Bodies({"lower": lower, "upper": pd.Lattice((0.0, 1.0), (1.0, 2.0), 0.25)})
+    chunk = bodies.chunk(0, 1)
+    view = View(chunk.x, chunk.sets, minimum=lambda value: value)
+    assert np.count_nonzero(pd.region.Face("-y", "lower").mask(view)) == 8
+    assert np.count_nonzero(pd.region.Face("+y", "upper").mask(view)) == 4
+    view.sets["upper +y"] = np.arange(len(chunk.x)) == 0
+    assert np.count_nonzero(pd.region.Face("+y", "upper").mask(view)) == 1
+
+
 def test_what_bodies_cannot_do_is_refused(tmp_path):
     case = stacked()
     lower, upper = case.particles.parts.values()
     low = pd.LatticeNodes((0.0, 0.98), (2.0, 1.98), 0.2)
     with pytest.raises(pd.CaseError, match=r"bodies of BodyContact condition 4 overlap by 0.02"):
         pd.prepare(dataclasses.replace(case, particles=pd.Bodies({"lower": lower, "upper": low})))
+    with pytest.raises(pd.CaseError, match="BodyContact condition 4: A body of 2 dimensions has no side '-z'"):
+        wrong = [*case.conditions[:3], pd.BodyContact("lower +y", "upper -z")]
+        pd.prepare(dataclasses.replace(case, conditions=wrong))
+    with pytest.raises(pd.CaseError, match="Two contacts are named 'pair'"):
+        pd.prepare(dataclasses.replace(case, conditions=[*case.conditions, pd.ParticleContact(name="pair")]))
+    with pytest.raises(pd.CaseError, match="corners with other vector areas"):
+        solid = pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.5).surface()
+        pd.Facets(solid.x, solid.area, solid.particle, corners=2.0 * np.asarray(solid.corners))
     with pytest.raises(pd.CaseError, match="one word"):
         pd.Bodies({"two words": lower})
     thick = dataclasses.replace(upper, thickness=2.0)

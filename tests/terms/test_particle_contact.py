@@ -146,6 +146,26 @@ def test_forces_have_their_tangent_and_balance(rng):
     assert (energies[0] - energies[1]) / (2.0 * h) == pytest.approx((f * du).sum(), rel=1e-6)
 
 
+@pytest.mark.parametrize("solver", [pd.Newton(), pd.DynamicRelaxation()])
+def test_a_step_in_which_blocks_pass_each_other_is_halved(solver, tmp_path):
+    """The upper block would be below the lower one after one step; nothing touches at its start and at its end."""
+    lower, upper = pd.Lattice((0.0, 0.0), (1.0, 0.5), 0.125), pd.Lattice((0.0, 1.0), (1.0, 1.25), 0.125)
+    case = cut(
+        particles=pd.Bodies({"lower": lower, "upper": upper}),
+        cracks=(),
+        conditions=[
+            pd.Displacement("lower -y", x=0.0, y=0.0),
+            pd.Displacement("upper +y", x=0.0, y=-1.6),
+            pd.ParticleContact(),
+        ],
+        history={},
+        steps=pd.Steps(1),
+        solver=solver,
+    )
+    with pytest.raises(pd.SolveError, match="No convergence"):
+        pd.run(case, tmp_path)
+
+
 def test_images_are_refused():
     with pytest.raises(pd.CaseError, match="does not act on images"):
         pd.prepare(cut(symmetry=[pd.Symmetry("x", 0.0)], cracks=()))

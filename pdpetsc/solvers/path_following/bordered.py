@@ -36,7 +36,7 @@ class Bordered:
 
     def __init__(self, tangent: PetscTangent) -> None:
         self._tangent = tangent
-        self._K = K = tangent.mat
+        K = tangent.mat
         comm = K.getComm()
         self._last = comm.size - 1
         self._comm = comm.tompi4py()
@@ -52,8 +52,8 @@ class Bordered:
         self.iterations = 0
 
     def renew(self) -> None:
-        """Bind the new matrix of the preconditioner."""
-        self.ksp.setOperators(self._K, self._tangent.preconditioner)
+        """Bind the new matrices of the tangent."""
+        self.ksp.setOperators(self._tangent.mat, self._tangent.preconditioner)
         self.equip()
 
     def equip(self) -> None:
@@ -92,7 +92,7 @@ class Bordered:
         """Compute the product; called by PETSc."""
         values, last = self.split(x)
         self._r.array = values
-        self._K.mult(self._r, self._y1)
+        self._tangent.mat.mult(self._r, self._y1)
         self._y1.axpy(last, self._b)
         self.put(y, self._y1.array_r, self._c.dot(self._r) + self._d * last)
 

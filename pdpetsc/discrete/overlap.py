@@ -34,15 +34,26 @@ class Overlap:
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self._cloud = cloud
-        with_ghosts = families.with_any(np.arange(cloud.n_local) >= cloud.n_owned)
+        self._with_ghosts = families.with_any(np.arange(cloud.n_local) >= cloud.n_owned)
         if cloud.comm.size == 1:
             # Without communication, one loop is faster.
-            with_ghosts[:] = True
-        inside = np.flatnonzero(~with_ghosts).astype(np.int32)
-        self._first, self._last = inside[: len(inside) // 2], inside[len(inside) // 2 :]
-        self._border = np.flatnonzero(with_ghosts).astype(np.int32)
+            self._with_ghosts[:] = True
+        self._divide()
         self._u = np.empty((cloud.n_local, cloud.dim))
         self._f = np.empty((cloud.n_local, cloud.dim))
+
+    def _divide(self) -> None:
+        inside = np.flatnonzero(~self._with_ghosts).astype(np.int32)
+        self._first, self._last = inside[: len(inside) // 2], inside[len(inside) // 2 :]
+        self._border = np.flatnonzero(self._with_ghosts).astype(np.int32)
+
+    def couple(self, particles: LocalIndex) -> None:
+        """Treat own particles as if they had ghosts in their families: terms couple them with others (not collective).
+
+        Call it before the first application.
+        """
+        self._with_ghosts[particles] = True
+        self._divide()
 
     def __call__(self, u: Float, work: Work) -> Float:
         """Compute the forces on the unknowns (n_rows, dim) for unknowns ``u``; the next call may overwrite them."""

@@ -84,6 +84,7 @@ class BodyContactForces(FacetContact):
         self._search = Search(cloud, mine, theirs, NEAR * spacing)
         self._search.leave_out_material(self._before, DEEP * spacing)
         self._search.renew(self._before)
+        body.overlap.couple(mine.owner)
         self.pattern = self._search.version
         # Of facets of both parts which one is the first of a pair has no meaning.
         self._of_itself = int(total(cloud.comm, np.count_nonzero(mine.both))) > 0

@@ -100,6 +100,7 @@ class ParticleContactForces(Term):
         keys = cloud.gid[families.centres] * cloud.n_global + cloud.gid[families.neighbours]
         self._order = np.argsort(keys)
         self._keys = keys[self._order]
+        body.overlap.couple(self._rows.astype(np.int32))
         self._before = np.zeros((cloud.n_owned, body.dim))
         self._near = self._searched(self._before)
         self.pattern = 1

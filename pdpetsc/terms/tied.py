@@ -59,6 +59,7 @@ class TiedForces(Term):
             raise CaseError(f"No facets of {name} overlap within a gap of {declared.gap:g} spacings; raise the gap.")
         ends = both_ends(mine.ends(pairs.rows, pairs.one), theirs.ends(pairs.other_rows, pairs.other))
         stencils = StencilMembers(mine.owner[pairs.rows], ends.ptr, ends.members)
+        body.overlap.couple(stencils.owner)
         x = mine.x[pairs.rows] + pairs.one
         self._points = Points(x, pairs.area, np.arange(len(pairs.rows)), stencils, ends.weights)
         # An own particle at both ends of each pair.

@@ -182,7 +182,8 @@ def test_ranks_and_matrix_free_solves_agree_and_sliding_drags(tmp_path):
     path.write_text(TEXT)
     one = results(path, ranks=1, output=tmp_path / "one")["results"]
     assert one["x"] == pytest.approx(-0.3 * one["y"], rel=0.02) and one["y"] < -1.0
-    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", ["-pd_jacobian", "matfree"], 1)):
+    free = ["-pd_jacobian", "matfree"]
+    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", free, 1), ("free two", free, 2)):
         other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
         assert other == pytest.approx(one, rel=1e-6), name
 

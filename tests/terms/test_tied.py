@@ -85,7 +85,8 @@ def test_a_cantilever_of_two_lattices_bends_as_one(tmp_path):
     path_whole = tmp_path / "whole.py"
     path_whole.write_text(whole)
     assert one["tip"] == pytest.approx(results(path_whole, output=tmp_path / "whole")["results"]["tip"], rel=0.01)
-    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", ["-pd_jacobian", "matfree"], 1)):
+    free = ["-pd_jacobian", "matfree"]
+    for name, words, ranks in (("two", [], 2), ("three", [], 3), ("free", free, 1), ("free three", free, 3)):
         other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
         assert other == pytest.approx(one, rel=1e-6), name
 

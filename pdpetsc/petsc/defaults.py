@@ -61,6 +61,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     Every absolute tolerance is zero: a number with a unit does not measure the quality of a solution. The absolute
     tolerance of ``cp`` would accept any residual if force and step are small numbers.
 
+    GMRES is preconditioned from the right, so that its tolerance is that of the forces. From the left it would accept
+    steps that leave the stiff forces of contact unbalanced.
+
     If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
 
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Along paths
@@ -92,6 +95,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    if (choice.ksp or defaults["ksp_type"]) == "gmres":
+        defaults["ksp_pc_side"] = "right"
     if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:

@@ -55,6 +55,8 @@ class Choice:
         Estimated memory of the assembled tangent over all ranks [bytes]; 0 if it was not estimated.
     why : str
         Reason for the choice, for the log.
+    ksp : str
+        Linear solver named by options, empty if none.
     """
 
     pc: str
@@ -63,6 +65,7 @@ class Choice:
     levels: str
     estimate: int
     why: str
+    ksp: str = ""
 
 
 def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, pivots: bool = False) -> Choice:
@@ -89,6 +92,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     # With a temperature, it is the solver of the displacement block.
     name = "fieldsplit_displacement_pc_type" if problem.coupled else "pc_type"
     pc = database.getString(name, str(chosen.get(name, "")))
+    ksp = database.getString("ksp_type", str(chosen.get("ksp_type", "")))
     if word == "matfree" and problem.coupled:
         raise CaseError(
             "Temperature and displacement together need a matrix; leave -pd_jacobian at assembled or auto, or take "
@@ -111,7 +115,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     if word == "assembled" or problem.coupled or solver.needs.tangent != "any" or (word == "auto" and direct):
         if word == "assembled":
             why += ", -pd_jacobian assembled"
-        return Choice(pc, direct, False, "", 0, why)
+        return Choice(pc, direct, False, "", 0, why, ksp)
     blocks = _blocks(problem)
     narrow = blocks <= WIDE[dim] * NEAR_BLOCKS[dim] * cloud.n_global
     matrix_free = word == "matfree" or not narrow
@@ -123,7 +127,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     levels = database.getString("pc_mg_type", str(chosen.get("pc_mg_type", "additive")))
     if not matrix_free or pc not in ("", "mg"):
         levels = ""
-    return Choice(pc, direct and not matrix_free, matrix_free, levels, int(blocks * size), why)
+    return Choice(pc, direct and not matrix_free, matrix_free, levels, int(blocks * size), why, ksp)
 
 
 def _largest_factored(problem: Problem) -> tuple[int, str]:

@@ -89,6 +89,5 @@ def case(n=12, m=16, load=1.567, friction=0.0):
             "half_width_over_hertz": pd.Expected(1.0, relative=0.02, source="NAFEMS CGS-1, Hertz"),
             "peak_over_hertz": pd.Expected(1.0, relative=0.03, source="NAFEMS CGS-1, Hertz"),
         },
-        options={"pc_type": "lu"},
         picture=pd.Picture(pd.stress, "yy"),
     )  # fmt: skip

@@ -20,10 +20,10 @@ class BodyContact(Condition):
     """Contact of two parts of the surface, with Coulomb friction: of two bodies, or of a body with itself.
 
     Facets of both parts that look at each other and overlap, seen along the mean of their normals, form pairs. Both
-    facets of a pair feel opposite forces at the middle of the overlap: the pressure ``p = <p0 - stiffness g>`` of the
-    gap ``g`` there, and friction as for ``Contact``, times the area of the overlap. A uniform pressure is transferred
-    exactly, whatever the spacings of both sides, and forces and moments balance. The pairs are those of the deformed
-    surfaces: an equilibrium is solved again with the pairs found in it until no iteration is necessary.
+    facets of a pair feel opposite forces at the middle of the overlap: the pressure ``p = <p0 - stiffness g>``, and
+    friction as for ``Contact``, times the area of the overlap. ``g`` is the mean gap over the overlaps of the facets of
+    one particle. A uniform pressure is transferred exactly, whatever the spacings of both sides, and forces and moments
+    balance. The pairs are those of the deformed surfaces, with an exact tangent, which is not symmetric.
 
     Parameters
     ----------

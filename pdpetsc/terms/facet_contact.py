@@ -173,11 +173,8 @@ class FacetContact(Term):
         self.symmetric = friction == 0.0
         self._owner = owner
         # Tangential tractions at the start of this step, and at its end after it has converged.
-        self._tau, self._tau_end, self._ended = (
-            np.zeros((len(owner), body.dim)),
-            np.zeros((len(owner), body.dim)),
-            False,
-        )
+        self._tau, self._tau_end = np.zeros((2, len(owner), body.dim))
+        self._ended = False
         # Multipliers of the last converged step, and of the current solve.
         self._p0 = np.zeros(len(owner))
         self._p = self._p0.copy()
@@ -306,7 +303,7 @@ class FacetContact(Term):
             self._ended = False
             self._tau[:] = self._tau_end
             self._step_from(state)
-            self.version += 1
+            self.version += self._mu > 0.0
 
     @abstractmethod
     def _step_from(self, state: State) -> None:

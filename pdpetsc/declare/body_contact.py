@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -16,7 +17,32 @@ AROUND = 3.0
 
 
 @dataclass(frozen=True)
-class BodyContact(Condition):
+class TwoParts(Condition, ABC):
+    """A condition between the facets of two parts of the surface.
+
+    Parameters
+    ----------
+    region, other : Region or str
+        Facets of both parts: the name of a body in ``Bodies``, its side (``"lower +y"``), a set or a region.
+    """
+
+    region: Region
+    other: Region
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.other, str):
+            object.__setattr__(self, "other", region_of_name(self.other))
+        super().__post_init__()
+
+    @abstractmethod
+    def beyond(self, horizon: float) -> float:
+        """Return how much further than a horizon ranks exchange the particles at the surface [length]."""
+
+
+@dataclass(frozen=True)
+class BodyContact(TwoParts):
     """Contact of two parts of the surface, with Coulomb friction: of two bodies, or of a body with itself.
 
     Facets of both parts that look at each other and overlap, seen along the mean of their normals, form pairs. Both
@@ -58,20 +84,11 @@ class BodyContact(Condition):
     >>> touching = pd.BodyContact("wheel", "rail +y", friction=0.3, name="wheel")
     """
 
-    region: Region
-    other: Region
     friction: NonNegative = 0.0
     stiffness: Positive | None = None
     penetration: Fraction = 0.01
     reach: Positive | None = None
     name: str = "contact"
-
-    on_surface: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if isinstance(self.other, str):
-            object.__setattr__(self, "other", region_of_name(self.other))
-        super().__post_init__()
 
     def put(self, onto: Any, name: str) -> None:
         """Add the term."""
@@ -87,7 +104,7 @@ class BodyContact(Condition):
 
 
 @dataclass(frozen=True)
-class Tied(Condition):
+class Tied(TwoParts):
     """Tie two parts of the surface that touch or nearly touch: bodies of unlike spacings move as one.
 
     Facets that overlap in the undeformed bodies form pairs. Both facets of a pair feel opposite tractions
@@ -117,18 +134,9 @@ class Tied(Condition):
     >>> glued = pd.Tied("fine -y", "coarse +y")
     """
 
-    region: Region
-    other: Region
     stiffness: Positive | None = None
     gap: Positive = 0.1
     name: str = "tie"
-
-    on_surface: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if isinstance(self.other, str):
-            object.__setattr__(self, "other", region_of_name(self.other))
-        super().__post_init__()
 
     def put(self, onto: Any, name: str) -> None:
         """Add the term."""

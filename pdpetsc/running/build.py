@@ -18,7 +18,7 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.damage.laws import Marking
 from pdpetsc.damage.point_damage import AssignedPointDamage
-from pdpetsc.declare.body_contact import BodyContact, Tied
+from pdpetsc.declare.body_contact import TwoParts
 from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -115,7 +115,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     together = None if patches is None else boxes(comm, along, patches.edge).astype(float)
     widest = largest(comm, float(np.max(reach, initial=0.0)))
     beyond: float | Float = max(
-        (one.beyond(widest) for one in case.conditions if isinstance(one, BodyContact | Tied)), default=0.0
+        (one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)), default=0.0
     )
     if beyond > 0.0:  # around particles with facets only, and ranks alone know all particles
         with agreed(comm):

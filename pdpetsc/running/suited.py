@@ -7,7 +7,7 @@ from dataclasses import replace
 from pdpetsc.case import Case
 from pdpetsc.control import CONTROLS, ByShear, Silling, TangentScaled, ZeroEnergyControl
 from pdpetsc.control.by_shear import twice_shear
-from pdpetsc.declare.body_contact import BodyContact, Tied
+from pdpetsc.declare.body_contact import TwoParts
 from pdpetsc.declare.horizon import spacings
 from pdpetsc.declare.particles import Chunk
 from pdpetsc.declare.tools import Contact
@@ -166,7 +166,7 @@ def refuse_contact_without_weights(case: Case, note: str) -> None:
         What the scheme says of its weights.
     """
     _, without, why = note.partition(MAY_NOT_CONVERGE)
-    if without and any(isinstance(condition, Contact | BodyContact | Tied) for condition in case.conditions):
+    if without and any(isinstance(condition, Contact | TwoParts) for condition in case.conditions):
         raise CaseError(
             f"Contact needs conforming weights, which do not exist here{why} With standard ones the pressure would be "
             f"wrong by half."

@@ -168,7 +168,7 @@ def case(friction=0.3, steps=4, solver="newton"):
             pd.Clamp("lower -y"),
             pd.Displacement("upper +y", y=-0.01, schedule=lowered),
             pd.Displacement("upper +y", x=0.3, schedule=pushed),
-            pd.BodyContact("lower +y", "upper -y", friction, penetration=1e-4, name="pair"),
+            pd.BodyContact("lower +y", "upper -y", friction, penetration=0.05, name="pair"),
         ],
         history={"top": pd.Mean(pd.displacement, "y", "lower +y")},
         results=lambda h: {"x": h["pair_x"][-1], "y": h["pair_y"][-1], "top": h["top"][-1]},

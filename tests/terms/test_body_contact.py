@@ -177,6 +177,7 @@ def case(friction=0.3, steps=4, solver="newton"):
 """
 
 
+@pytest.mark.processors
 def test_ranks_and_matrix_free_solves_agree_and_sliding_drags(tmp_path):
     path = tmp_path / "sliding.py"
     path.write_text(TEXT)
@@ -246,6 +247,7 @@ def test_bars_that_collide_exchange_their_velocities(kind, tmp_path):
     assert np.abs(run.history["error"]).max() < (2e-3 if explicit else 0.04)
 
 
+@pytest.mark.processors
 def test_a_body_touches_itself(tmp_path):
     """The arms of a C are pressed together; the sides of an arm, which face each other through it, do not touch."""
     body = pd.LatticeNodes((0.0, 0.0), (3.0, 1.5), 0.125, cut=pd.region.Box((0.5, 0.5), (3.0, 1.0)))

@@ -24,6 +24,8 @@ from pdpetsc.terms.facet_contact import ContactProduct
 SLACK = 0.5
 # Particles that come nearer than this share of their distance of contact, and part again, have passed each other.
 PASSING = 0.5
+# Particles nearer than this share of their distance of contact have no direction from each other.
+COINCIDE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,7 @@ class ParticleContactForces(Term):
             y = near.xi + (v[near.one] - v[near.other])
             r = np.linalg.norm(y, axis=1)
             rows = np.flatnonzero(self._free & (r < near.r0))
-            return rows, y[rows] / np.maximum(r[rows], np.finfo(float).tiny)[:, None], r[rows]
+            return rows, y[rows] / np.maximum(r[rows], COINCIDE * near.r0[rows])[:, None], r[rows]
 
         return state.kept((self, "pressed", self.version), make)
 
@@ -217,7 +219,7 @@ class ParticleContactForces(Term):
                     "Explicit, or one rank."
                 )
         ee = e[:, :, None] * e[:, None, :]
-        slack = ((near.r0[rows] - r) / np.maximum(r, np.finfo(float).tiny))[:, None, None]
+        slack = ((near.r0[rows] - r) / np.maximum(r, COINCIDE * near.r0[rows]))[:, None, None]
         return [self._product(rows, near.k[rows, None, None] * (ee - slack * (one - ee)))]
 
     def stiffest(self, state: State) -> Sequence[Product]:

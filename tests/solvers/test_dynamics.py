@@ -66,7 +66,9 @@ def errors(solvers, tmp_path):
 PERIOD = 4.0 * LENGTH / SPEED
 
 
-@pytest.mark.parametrize("radius", [1.0, 0.8, 0.0])
+@pytest.mark.parametrize(
+    "radius", [1.0, pytest.param(0.8, marks=pytest.mark.long), pytest.param(0.0, marks=pytest.mark.long)]
+)
 def test_implicit_steps_are_of_second_order(radius, tmp_path):
     coarse, fine = errors([pd.Implicit(dt=PERIOD / n, end=PERIOD, radius=radius) for n in (200, 400)], tmp_path)
     assert fine < 0.01

@@ -167,7 +167,7 @@ def case(friction=0.3, steps=4, solver="newton"):
         conditions=[
             pd.Clamp("lower -y"),
             pd.Displacement("upper +y", y=-0.01, schedule=lowered),
-            pd.Displacement("upper +y", x=0.3, schedule=pushed),
+            pd.Displacement("upper +y", x=0.1, schedule=pushed),
             pd.BodyContact("lower +y", "upper -y", friction, penetration=0.05, name="pair"),
         ],
         history={"top": pd.Mean(pd.displacement, "y", "lower +y")},

@@ -97,20 +97,28 @@ class BodyContactForces(FacetContact):
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
-        """Return the members of all near facets, once for each pair of their particles (not collective)."""
-        search = self._search
+        """Return the members of the facets of each particle and of all facets near them (not collective).
+
+        They depend on each other: the pressure of a pair is that of the mean gap of all pairs of a particle.
+        """
+        search, n = self._search, self.body.cloud.n_local
         one, other = search.near
-        n = self.body.cloud.n_local
         # All facets of a particle have the same members.
-        _, first = np.unique(
-            search.one.particle[one].astype(np.int64) * n + search.other.particle[other], return_index=True
-        )
-        first.sort()
-        entry, ptr = entries_of(search.one.ptr, one[first])
-        other_entry, other_ptr = entries_of(search.other.ptr, other[first])
-        row = np.concatenate([np.repeat(np.arange(len(p) - 1), np.diff(p)) for p in (ptr, other_ptr)])
-        members = np.concatenate([search.one.members[entry], search.other.members[other_entry]])
-        return ptr + other_ptr, members[np.argsort(row, kind="stable")]
+        key = search.one.particle[one].astype(np.int64) * n + search.other.particle[other]
+        _, first = np.unique(key, return_index=True)
+        keys = []
+        for side, rows in ((search.one, one[first]), (search.other, other[first])):
+            entry, ptr = entries_of(side.ptr, rows)
+            particle = np.repeat(search.one.particle[one[first]].astype(np.int64), np.diff(ptr))
+            keys.append(particle * n + side.members[entry])
+        particle, members = np.divmod(np.unique(np.concatenate(keys)), n)
+        _, count = np.unique(particle, return_counts=True)
+        return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members.astype(np.int32)
+
+    @property
+    def within_families(self) -> bool:
+        """Return False: pairs are of particles without a common family (not collective)."""
+        return False
 
     def _formed(self, u: Float) -> Pairs:
         """Return the pairs of facets that may touch, for displacements of local particles (n_local, dim)."""

@@ -71,6 +71,11 @@ class TiedForces(Term):
         return self._points.stencils.point_ptr, self._points.stencils.members
 
     @property
+    def within_families(self) -> bool:
+        """Return False: pairs are of particles without a common family (not collective)."""
+        return False
+
+    @property
     def joined(self) -> LocalIndex:
         """Return a particle of both facets of each pair (not collective)."""
         found: LocalIndex = self._joined

@@ -9,6 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare.region import View
+from pdpetsc.problem.assembly import Assembler
 from tests.commands import results
 
 E, NU = 1000.0, 0.3
@@ -142,6 +143,30 @@ def test_forces_have_their_tangent_and_balance(friction, rng):
         return (force(u + h * du) - force(u - h * du)) / (2.0 * h)
 
     assert np.abs(difference(one) - exact(one)).max() < 1e-7 * np.abs(exact(one)).max()
+
+
+@pytest.mark.parametrize("join", [pd.BodyContact, pd.Tied])
+def test_a_matrix_of_whole_families_has_room_for_pairs(join, rng):
+    """With bonds that fail the sparsity is that of families, which pairs of two bodies are not part of."""
+    case = stacked(damage=pd.Brittle(pd.ConstantCritical(1.0)), weights=pd.Standard(), scheme=pd.Correspondence())
+    pressed = join("lower +y", "upper -y", stiffness=1e4)
+    case = dataclasses.replace(case, conditions=[*case.conditions[:3], pressed], horizon=0.55)
+    problem = pd.prepare(case).problem
+    n, dim, cloud = problem.body.cloud.n_owned, problem.dim, problem.body.cloud
+    u = 1e-4 * rng.uniform(-1.0, 1.0, (n, dim)) - 0.001 * cloud.sets["upper"][:n, None] * (0.3, 1.0)
+    state = problem.state(u, 0.5)
+    assembler = Assembler(problem)
+    rows = assembler.pattern.rows
+    values = np.empty(dim**2 * int(rows.diag_ptr[-1]))
+    assembler.assemble(state, values, np.empty(0))
+    K = np.zeros((n * dim, n * dim))
+    for row in range(n):
+        columns = rows.columns[rows.diag_ptr[row] : rows.diag_ptr[row + 1]]
+        block = values[dim**2 * rows.diag_ptr[row] : dim**2 * rows.diag_ptr[row + 1]].reshape(dim, -1)
+        K[row * dim : (row + 1) * dim, (columns[:, None] * dim + np.arange(dim)).ravel()] = block
+    du = rng.uniform(-1.0, 1.0, (n, dim))
+    exact = problem.linearised(problem.state(u, 0.5))(du)
+    np.testing.assert_allclose((K @ du.ravel()).reshape(n, dim), exact, atol=1e-10 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])

@@ -9,6 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.horizon import spacings
 from pdpetsc.declare.particles import Chunk, Particles
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.tiling import Cells
@@ -57,17 +58,12 @@ class Bodies(Particles):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the particles of a body are no lattice of equal cells."""
+        """Return True if the particles of a body are no lattice of equal cells."""
         return any(one.irregular for one in self.parts.values())
 
     @property
-    def fills_boxes(self) -> bool:
-        """Return whether all particles are in the middles of equal boxes."""
-        return False
-
-    @property
     def on_surface(self) -> bool:
-        """Return whether the outer particles of all bodies lie on their surfaces."""
+        """Return True if the outer particles of all bodies lie on their surfaces."""
         return all(one.on_surface for one in self.parts.values())
 
     def estimate(self) -> int:
@@ -81,7 +77,7 @@ class Bodies(Particles):
         if len(dims) > 1:
             raise CaseError(f"Bodies have {sorted(dims)} coordinates; give all of them the same number.")
         body = np.repeat(np.arange(len(chunks)), [len(chunk.x) for chunk in chunks])
-        spacing = [_spacing(chunk, self.thickness) for chunk in chunks]
+        spacing = [spacings(chunk, self.thickness) for chunk in chunks]
         names = {name for chunk in chunks for name in chunk.sets}
         sets = {
             name: np.concatenate([chunk.sets.get(name, np.zeros(len(chunk.x), dtype=bool)) for chunk in chunks])
@@ -147,11 +143,3 @@ class Bodies(Particles):
     def _firsts(self) -> list[int]:
         """Return the number of the first particle of each body, followed by the number of all."""
         return [0, *np.cumsum([len(one.chunk(0, 1).x) for one in self.parts.values()]).tolist()]
-
-
-def _spacing(chunk: Chunk, thickness: float) -> Float:
-    """Return how far the particles of a body are apart (n,) [length]."""
-    if chunk.spacing is not None:
-        return chunk.spacing
-    dim = chunk.x.shape[1]
-    return np.asarray((chunk.volume / (thickness if dim < 3 else 1.0)) ** (1.0 / dim))

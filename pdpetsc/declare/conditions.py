@@ -223,6 +223,7 @@ class Velocity(VectorCondition):
         """
         schedule = self.schedule or Hold()
         breaks = np.asarray(getattr(schedule, "times", ()), dtype=float)
+        points = list(zip(*scipy.special.roots_legendre(POINTS), strict=True))
 
         def displacement(x: Float, t: float) -> Float:
             ends = np.concatenate([[0.0], breaks[(breaks > 0.0) & (breaks < t)], [t]])
@@ -230,7 +231,7 @@ class Velocity(VectorCondition):
             for begin, end in itertools.pairwise(ends.tolist()):
                 panels = np.linspace(begin, end, PANELS + 1)
                 half = 0.5 * (panels[1] - panels[0])
-                for s, weight in zip(*scipy.special.roots_legendre(POINTS), strict=True):
+                for s, weight in points:
                     for middle in (panels[:-1] + half).tolist():
                         at = middle + half * float(s)
                         whole += weight * half * values_of("Velocity", component, schedule, x, at)

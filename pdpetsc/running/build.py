@@ -114,15 +114,14 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     along = chunk.x if axes is None else chunk.x @ axes.T
     together = None if patches is None else boxes(comm, along, patches.edge).astype(float)
     widest = largest(comm, float(np.max(reach, initial=0.0)))
-    beyond: float | Float = max(
-        (one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)), default=0.0
-    )
-    if beyond > 0.0:  # around particles with facets only, and ranks alone know all particles
+    further = [one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)]
+    beyond: float | Float = 0.0
+    if further and comm.size > 1:  # around particles with facets
         with agreed(comm):
             facets = case.particles.surface(comm.rank, comm.size, case.cracks)
         outer = np.zeros(len(chunk.x))
-        outer[facets.arrays[2]] = 1.0 if comm.size > 1 else 0.0
-        beyond = beyond * outer
+        outer[facets.arrays[2]] = 1.0
+        beyond = max(further) * outer
     cloud = distribute(
         comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual, together, chunk.body, beyond
     )

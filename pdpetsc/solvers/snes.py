@@ -183,13 +183,7 @@ class SnesSolver(StepSolver):
         followed = self.problem.follow(state)
         if self.problem.pattern != pattern and self._equilibrium.tangent.renew():
             self._use_tangent()
-        if not followed:
-            return True
-        reason, seen = self._equilibrium.reason, len(self._equilibrium.norms)
-        kept = self._judged(self._x)
-        del self._equilibrium.norms[seen:]
-        self._equilibrium.reason = reason
-        return kept
+        return not followed or self._judged(self._x)
 
     def _use_tangent(self) -> None:
         """Pass matrices of the tangent to SNES, after they were replaced."""

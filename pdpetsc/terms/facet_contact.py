@@ -200,15 +200,16 @@ class FacetContact(Term):
 
     def _touching(self, state: State) -> Touching:
         """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
-        points, slip, n = self._points(state), self._slip(state), self._gap(state)[1]
-        pressure = self._p[points.of] - self._c * self._felt(state)
-        return state.kept((self, "touching", self.version), lambda: self._tractions(points.of, pressure, slip, n))
+        _ = state.u_local
+        return state.kept((self, "touching", self.version), lambda: self._tractions(state))
 
     def _felt(self, state: State) -> Float:
         """Compute the gap that determines the pressure of each point (n_points,) [length] (collective)."""
         return self._gap(state)[0]
 
-    def _tractions(self, of: GlobalIndex, pressure: Float, slip: Float, n: Float) -> Touching:
+    def _tractions(self, state: State) -> Touching:
+        of, slip, n = self._points(state).of, self._slip(state), self._gap(state)[1]
+        pressure = self._p[of] - self._c * self._felt(state)
         # Points that just touch have no pressure yet, and resist.
         rows = np.flatnonzero(pressure > -TOUCH * self._c * self._spacing)
         n, p, one = n[rows], np.maximum(pressure[rows], 0.0), np.eye(self.body.dim)

@@ -256,8 +256,7 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
 
 def _side(surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Mask, both: Mask, depth: float) -> Side:
     rows = np.flatnonzero(mask)
-    rows = rows[np.argsort(key[rows])]
-    rows = rows[np.argsort(surface.owner[rows], kind="stable")]
+    rows = rows[np.lexsort((key[rows], surface.owner[rows]))]
     entry, ptr = entries_of(surface.ptr, rows)
     return Side(
         surface.x[rows], corners[rows], key[rows], both[rows], surface.owner[rows].astype(np.int32), ptr,

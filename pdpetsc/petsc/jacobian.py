@@ -20,7 +20,7 @@ from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
 from pdpetsc.problem.assembly import Assembler, Filler
-from pdpetsc.problem.background_grid import BackgroundGrid
+from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 
@@ -146,7 +146,7 @@ def assembler(problem: Problem, choice: Choice) -> Filler:
     """Build the object that fills the matrices of the choice (collective)."""
     if not choice.matrix_free:
         return Assembler(problem)
-    return BackgroundGrid(problem) if choice.levels else NearAssembler(problem)
+    return BackgroundElements(problem) if choice.levels else NearAssembler(problem)
 
 
 def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
@@ -201,12 +201,12 @@ def _of_pattern(filler: Any) -> int:
 _TANGENTS: dict[type[Filler], Callable[[Any, Mask, float], PetscTangent]] = {
     Assembler: _assembled,
     NearAssembler: _by_nearest_neighbours,
-    BackgroundGrid: _on_two_levels,
+    BackgroundElements: _on_two_levels,
 }
 _MEMORY: dict[type[Filler], Callable[[Any], int]] = {
     Assembler: _of_pattern,
     NearAssembler: _of_pattern,
-    BackgroundGrid: predicted_bytes_of,
+    BackgroundElements: predicted_bytes_of,
 }
 
 

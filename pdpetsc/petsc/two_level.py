@@ -10,7 +10,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.matrix_free import Preconditioning
-from pdpetsc.problem.background_grid import BackgroundGrid
+from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 
@@ -30,7 +30,7 @@ class TwoLevel(Preconditioning):
 
     Parameters
     ----------
-    grid : BackgroundGrid
+    grid : BackgroundElements
         The coarse space.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
@@ -43,7 +43,7 @@ class TwoLevel(Preconditioning):
         Matrix of the nodes.
     """
 
-    def __init__(self, grid: BackgroundGrid, fixed: Mask, scale: float) -> None:
+    def __init__(self, grid: BackgroundElements, fixed: Mask, scale: float) -> None:
         self._grid, self._fixed, self._scale = grid, fixed, scale
         self._problem = problem = grid.problem
         dim, comm = problem.dim, problem.body.cloud.comm
@@ -97,7 +97,7 @@ class TwoLevel(Preconditioning):
     def renewed(self) -> Preconditioning:
         """Build a new preconditioner for the current fragments."""
         self.destroy()
-        return TwoLevel(BackgroundGrid(self._problem), self._fixed, self._scale)
+        return TwoLevel(BackgroundElements(self._problem), self._fixed, self._scale)
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
         """Set up the two levels of multigrid. Raise CaseError if options request another number of levels."""
@@ -143,7 +143,7 @@ class TwoLevel(Preconditioning):
         self.mat.destroy()
 
 
-def predicted_bytes_of(grid: BackgroundGrid) -> int:
+def predicted_bytes_of(grid: BackgroundElements) -> int:
     """Estimate the memory of the matrix entries of a grid over all ranks [bytes] (collective)."""
     cloud, dim = grid.problem.body.cloud, grid.problem.dim
     entries = grid.n_entries + cloud.n_rows * dim**2
@@ -153,7 +153,7 @@ def predicted_bytes_of(grid: BackgroundGrid) -> int:
 class _Interpolation:
     """Provide interpolation from nodes to unknowns, and its transpose, as a PETSc shell matrix."""
 
-    def __init__(self, grid: BackgroundGrid, coarse: PETSc.Mat) -> None:
+    def __init__(self, grid: BackgroundElements, coarse: PETSc.Mat) -> None:
         self._grid, self._dim = grid, grid.problem.dim
         dim, numbers = self._dim, grid.numbers.astype(PETSc.IntType)
         self._nodal = PETSc.Vec().createSeq(len(numbers) * dim, bsize=dim)

@@ -11,9 +11,10 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare.solvers import Newton
+from pdpetsc.discrete import background_grid
 from pdpetsc.petsc import jacobian
-from pdpetsc.problem import background_grid
-from pdpetsc.problem.background_grid import BackgroundGrid
+from pdpetsc.problem import background_elements
+from pdpetsc.problem.background_elements import BackgroundElements
 from tests.commands import ROOT, run
 from tests.scenes import (
     DIMS,
@@ -71,7 +72,7 @@ def test_point_blocks_are_those_of_the_tangent(rng):
 def test_restriction_is_the_transpose_of_interpolation(rng):
     cells = [bond_body(dim, pd.BondBased(E=1.0), rng=rng, cell=True) for dim in DIMS]
     for model in [body(dim, rng=rng) for dim in DIMS] + cells:
-        grid = BackgroundGrid(model.problem)
+        grid = BackgroundElements(model.problem)
         P = nodes_of(grid)
         f = rng.standard_normal((model.cloud.n_rows, model.dim))
         assert np.allclose(grid.restrict(f).ravel(), P.T @ f.ravel(), rtol=0.0, atol=1e-13)
@@ -79,13 +80,13 @@ def test_restriction_is_the_transpose_of_interpolation(rng):
 
 def test_nodes_have_the_energy_of_the_body_in_every_uniform_deformation(rng, monkeypatch):
     """Of free bodies, at any displacement; and of periodic cells, whose virtual unknowns are among the nodes."""
-    monkeypatch.setattr(background_grid, "WEAK", 0.0)
+    monkeypatch.setattr(background_elements, "WEAK", 0.0)
     for label, model in [*bodies(rng), *bond_bodies(rng)]:
         if any(name.replace("_", " ") in label.replace("_", " ") for name in NOT_AFFINE):
             continue
         n, dim, cloud = model.cloud.n_owned, model.dim, model.cloud
         u = displacement(model, rng)
-        grid = BackgroundGrid(model.problem)
+        grid = BackgroundElements(model.problem)
         H = rng.standard_normal((dim, dim))
         H = H + H.T if cloud.images is not None else H
         where = np.zeros((len(grid.numbers), dim))
@@ -108,11 +109,11 @@ def test_a_crack_parts_the_nodes(rng):
     """Where broken bonds have cut a body in two, each piece has nodes and rigid motions of its own."""
     model = damaged_body(2, pd.Brittle(pd.ConstantCritical(1.0)), control=pd.Silling(0.5))
     cloud, families = model.cloud, model.families
-    whole = BackgroundGrid(model.problem)
+    whole = BackgroundElements(model.problem)
     left = cloud.x[:, 0] < 2.5
     model.failure.phi[left[families.centres] != left[families.neighbours]] = 0.0
     model.take_failure()
-    cut = BackgroundGrid(model.problem)
+    cut = BackgroundElements(model.problem)
     assert cut.n_global > whole.n_global
     for grid, pieces in ((whole, 1), (cut, 2)):
         values = np.linalg.eigvalsh(coarse_matrix(grid, np.zeros((cloud.n_owned, 2))))
@@ -306,7 +307,7 @@ def test_bodies_far_apart_have_a_grid(monkeypatch):
     held = [pd.Displacement(ends, x=0.0, y=0.0, z=0.0)]
     case = box(3, 4, m=2.015, particles=pd.Arrays(x, 1.0), material=pd.BondBased(E=1.0), conditions=held)
     problem = pd.prepare(case).problem
-    grid = BackgroundGrid(problem)
+    grid = BackgroundElements(problem)
     assert np.prod(grid.cells.count + 1.0) <= background_grid.MOST
     moved = grid.interpolate(np.ones((len(grid.numbers), 3)))
     assert np.allclose(moved, ~problem.supports.fixed)

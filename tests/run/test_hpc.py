@@ -154,7 +154,7 @@ from pdpetsc.declare.solvers import Newton
 from pdpetsc.petsc.defaults import default_options
 from pdpetsc.petsc.jacobian import assembler, choose
 from pdpetsc.petsc.options import Options
-from pdpetsc.problem.background_grid import BackgroundGrid
+from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.solvers.newton import StaticSolver
 comm = world()
 sys.path.insert(0, "runs/bench")
@@ -166,7 +166,7 @@ held = pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)
 pulled = pd.Displacement(pd.region.Slab("x", low=60.0 * comm.size - 1.0), x=0.1)
 scene = dataclasses.replace(scene, particles=strip, conditions=[held, pulled])
 rehearse(comm, scene, 2)
-rehearse(comm, scene, 2, BackgroundGrid)
+rehearse(comm, scene, 2, BackgroundElements)
 sites = {}
 def look():
     for found in tracemalloc.take_snapshot().statistics("lineno"):

@@ -123,6 +123,10 @@ class BackgroundGrid:
     ----------
     first, n_own, n_global : int
         Number of the first own node, number of own nodes, and number of all nodes; virtual unknowns last.
+    n_local : int
+        Number of nodes that move particles of this rank, without virtual unknowns.
+    own_positions : (n, dim) float64
+        Positions of the own nodes, without virtual unknowns [length].
     numbers : (n_nodes,) int64
         Global numbers of the nodes that move particles of this rank; virtual unknowns are last.
     element : (n_owned,) int32
@@ -153,12 +157,13 @@ class BackgroundGrid:
         own_cells = of_element[own_elements]
         self._wraps = cells.periodic & (own_cells == cells.count - 1)
         self._lengths = cells.count * cells.width
-        self._own_positions = cells.positions(own_nodes)
+        self.own_positions = cells.positions(own_nodes)
         self.n_own = len(own_nodes) + cloud.n_virtual
         self.first = offset(cloud.comm, self.n_own)
         self.n_global = int(total(cloud.comm, self.n_own))
         virtual = self.n_global - cloud.n_virtual_global + np.arange(cloud.n_virtual_global)
         self.numbers: GlobalIndex = np.concatenate([used, virtual])
+        self.n_local = len(used)
         self._n_virtual = cloud.n_virtual_global
         grid_node = np.empty(len(used), dtype=np.int64)
         grid_node[self.corners] = cells.nodes(own_cells)
@@ -193,9 +198,16 @@ class BackgroundGrid:
         nodal[self.held] = 0.0
         return nodal
 
+    def sums(self, values: Float) -> Float:
+        """Compute the share of this rank of ``sum_i N_q(x_i) v_i`` (n_nodes, dim) from values (n_owned, dim)."""
+        nodal, moment = np.zeros((len(self.numbers), self._dim)), np.zeros((self._dim, self._dim))
+        data = self.element, self.at, self.corners, self._wraps, self._lengths
+        restrict_kernel(self._dim)(*data, values, nodal, moment)
+        return nodal
+
     def rigid_modes(self) -> Float:
         """Return the rigid motions of the body at the own nodes (n_own, dim, modes), zero for virtual unknowns."""
-        modes = rigid_at(self._cloud, self._own_positions)
+        modes = rigid_at(self._cloud, self.own_positions)
         return np.concatenate([modes, np.zeros((self._cloud.n_virtual, *modes.shape[1:]))])
 
     def _elements(self, families: Families, kept: Mask, cell: GlobalIndex) -> tuple[LocalIndex, GlobalIndex]:

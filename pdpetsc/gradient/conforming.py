@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
-import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.components import find_pieces
@@ -19,16 +18,11 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import NoConformingWeights
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.near_inverse import NearInverse, near_inverses
 from pdpetsc.kernels.conforming import linear_moments_kernel, remainder_kernel
-from pdpetsc.kernels.near import reach_kernel
 
 # Tolerance of the divergence theorem, as a share of the largest sum of weights of a particle.
 TOLERANCE = 1e-10
-# Near members are at most this many times as far away as the 2 dim-th nearest member. On lattices this includes the
-# diagonals.
-NEAR = 1.6
-# Largest mean number of members of points with few members, by dimension.
-FEW = {1: 10.0, 2: 14.0, 3: 12.0}
 # Number of solves of the system, each for the remaining right-hand side.
 ROUNDS = 4
 # Largest relative change of the weights, in the norm over the body. Of 301 clouds, five had larger changes, 1.2 to 1.9,
@@ -53,8 +47,9 @@ class ConformingSystem:
     """The symmetric system for the multipliers of the divergence theorem, ``S lambda = s - sum_p W_p g_pk``.
 
     ``S = C (I - Phi M^-1 Phi^T) C^T`` with ``C_k,pk = W_p``: a particle ``k`` has a number at every point that it is a
-    member of, and each point subtracts the best linear fit. The null space contains the linear functions. At mirror
-    planes each component has its own system, because the sign of the images depends on the component.
+    member of, and each point subtracts the best linear fit. The null space contains the linear functions. The system
+    is the same for each component of the multipliers, except at mirror planes, where the sign of the images depends on
+    the component.
 
     Parameters
     ----------
@@ -65,32 +60,29 @@ class ConformingSystem:
     pieces : (n_owned,) int64
         Piece of the body of each own particle.
 
+    Attributes
+    ----------
+    cloud, operator
+        As given.
+
     Notes
     -----
-    Every method is collective unless its docstring says otherwise.
+    Every method and property is collective.
     """
 
     def __init__(self, cloud: Cloud, operator: GradientOperator, pieces: GlobalIndex) -> None:
-        self.cloud = cloud
+        self.cloud, self.operator = cloud, operator
         self._pieces = pieces
-        self._operator = operator
         self._size = cloud.local_horizon[operator.owner]
         self._square = operator.volume**2
         M = np.empty((operator.n_points, cloud.dim + 1, cloud.dim + 1))
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
         # The linear fit is exact at a point that has no more members than a linear function has coefficients.
         self._inverse = np.linalg.pinv(M, hermitian=True)
-        self._component: int | None = None
-
-    def of_component(self, component: int) -> ConformingSystem:
-        """Return the system for one component of the multipliers (not collective)."""
-        found = copy(self)
-        found._component = component
-        return found
 
     @property
     def null_functions(self) -> list[Float]:
-        """Return linear functions on the own particles of each piece of the body whose images are linear too.
+        """Return the functions (n_owned, dim) of one component that are linear on a piece and on its images.
 
         If there are many pieces, return those of the whole body only.
         """
@@ -99,41 +91,70 @@ class ConformingSystem:
         masks = [self._pieces == label for label in labels] if len(labels) <= PIECES else [np.ones(cloud.n_owned)]
         x = cloud.x[: cloud.n_owned]
         # Even or odd about every mirror plane, and scaled for bodies far from the origin.
-        middle = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
+        middle = self._middle
         for axis, at in cloud.places.planes.items():
             middle[axis] = at
         found = []
         for mask in masks:
             for function in (np.ones(len(x)), *((x - middle) / cloud.horizon).T):
-                v = np.asarray(function * mask)[:, None]
+                v = np.repeat((function * mask)[:, None], cloud.dim, axis=1)
                 size = largest(cloud.comm, float(np.abs(v).max(initial=0.0)))
-                left = largest(cloud.comm, float(np.abs(self.product(v)).max(initial=0.0)))
-                # The product is not zero for a function that is not linear on the images.
-                if left <= LINEAR * size * self._scale:
-                    found.append(v[:, 0])
+                for component, left in enumerate(np.abs(self.product(v)).max(axis=0, initial=0.0)):
+                    # The product is not zero for a function that is not linear on the images.
+                    if largest(cloud.comm, float(left)) <= LINEAR * size * self._scale:
+                        found.append(v * (np.arange(cloud.dim) == component))
         return found
 
     @cached_property
-    def _scale(self) -> float:
-        """Return the largest diagonal entry of the system, ``sum_p W_p^2`` over the points of a particle."""
-        points = np.repeat(self._square, np.diff(self._operator.point_ptr))
-        diagonal = np.bincount(self._operator.members, points, self.cloud.n_local)
-        return largest(self.cloud.comm, float(diagonal.max(initial=0.0)))
+    def diagonal(self) -> Float:
+        """Return ``sum_p W_p^2`` over the points of each particle (n_owned,), about the diagonal of the system."""
+        points = np.repeat(self._square, np.diff(self.operator.point_ptr))
+        diagonal = np.bincount(self.operator.members, points, self.cloud.n_local)
+        self.cloud.halo.reverse(diagonal)
+        return np.asarray(diagonal[: self.cloud.n_owned])
 
-    def _turn(self, values: Float) -> None:
-        """Multiply the ghosts of ``values`` (n_local, columns) by the sign of the component."""
-        if self._component is not None and len(self.cloud.sign):
-            values[self.cloud.n_owned :] *= self.cloud.sign[:, self._component, None]
+    @cached_property
+    def mean_members(self) -> float:
+        """Return the mean number of members of a point."""
+        count = total(self.cloud.comm, np.array([float(len(self.operator.members)), float(self.operator.n_points)]))
+        return float(count[0] / count[1])
+
+    @property
+    def _middle(self) -> Float:
+        return np.asarray(total(self.cloud.comm, self.cloud.x[: self.cloud.n_owned].sum(axis=0)) / self.cloud.n_global)
+
+    @cached_property
+    def _scale(self) -> float:
+        return largest(self.cloud.comm, float(self.diagonal.max(initial=0.0)))
+
+    @property
+    def energies(self) -> Float:
+        """Return ``v . S v`` of ``v = x_m^2 / 2``, then of ``x_m x_n``, at the points of each own particle.
+
+        Lengths are relative to the horizon; (n_owned, dim (dim + 1) / 2).
+        """
+        cloud, operator, dim = self.cloud, self.operator, self.cloud.dim
+        x = (cloud.x - self._middle) / cloud.horizon
+        functions = [*(0.5 * x**2).T, *(x[:, m] * x[:, k] for m, k in combinations(range(dim), 2))]
+        found = np.zeros((cloud.n_owned, len(functions)))
+        for begin in range(0, len(functions), dim):
+            some = functions[begin : begin + dim]
+            v, e = np.zeros((cloud.n_local, dim)), np.zeros((len(operator.members), dim))
+            v[:, : len(some)] = np.stack(some, axis=1)
+            remainder_kernel(dim, dim, 0)(*self._geometry, operator.volume, v, e)
+            of_points = np.add.reduceat(e**2, operator.point_ptr[:-1], axis=0)
+            for column in range(len(some)):
+                found[:, begin + column] = np.bincount(operator.owner, of_points[:, column], cloud.n_owned)
+        return found
 
     def product(self, values: Float) -> Float:
-        """Return ``S v`` (n_owned, columns) for ``values`` of the own particles (n_owned, columns)."""
-        cloud, columns = self.cloud, values.shape[1]
-        v, out = np.zeros((cloud.n_local, columns)), np.zeros((cloud.n_local, columns))
+        """Return ``S v`` (n_owned, dim) for ``values`` of the own particles (n_owned, dim)."""
+        cloud = self.cloud
+        v, out = np.zeros((cloud.n_local, cloud.dim)), np.zeros((cloud.n_local, cloud.dim))
         v[: cloud.n_owned] = values
         cloud.halo.forward(v)
         self._turn(v)
-        kernel = remainder_kernel(cloud.dim, columns, 1)
-        kernel(*self._geometry, self._square, v, out)
+        remainder_kernel(cloud.dim, cloud.dim, 1)(*self._geometry, self._square, v, out)
         self._turn(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
@@ -144,12 +165,11 @@ class ConformingSystem:
         v = np.zeros((cloud.n_local, cloud.dim))
         v[: cloud.n_owned] = values
         cloud.halo.forward(v)
-        if len(cloud.sign):
-            v[cloud.n_owned :] *= cloud.sign
-        e = np.zeros((len(self._operator.members), cloud.dim))
-        remainder_kernel(cloud.dim, cloud.dim, 0)(*self._geometry, self._operator.volume, v, e)
+        self._turn(v)
+        e = np.zeros((len(self.operator.members), cloud.dim))
+        remainder_kernel(cloud.dim, cloud.dim, 0)(*self._geometry, self.operator.volume, v, e)
         # The first entry of a point is its centre: minus the sum of the others.
-        first = self._operator.point_ptr[:-1]
+        first = self.operator.point_ptr[:-1]
         e[first] = 0.0
         e[first] = -np.add.reduceat(e, first, axis=0)
         return e
@@ -158,67 +178,25 @@ class ConformingSystem:
         """Return ``sum_p W_p g_pk - s_k`` (n_owned, dim) [area] for ``g`` (n_entries, dim) and ``s`` (n_local, dim)."""
         cloud = self.cloud
         out = -s
-        identity = np.broadcast_to(np.eye(cloud.dim), (self._operator.n_points, cloud.dim, cloud.dim))
-        replace(self._operator, g=g).divergence(np.ascontiguousarray(identity), out)
-        if len(cloud.sign):
-            out[cloud.n_owned :] *= cloud.sign
+        identity = np.broadcast_to(np.eye(cloud.dim), (self.operator.n_points, cloud.dim, cloud.dim))
+        replace(self.operator, g=g).divergence(np.ascontiguousarray(identity), out)
+        self._turn(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
-    def near_matrix(self, families: Families) -> scipy.sparse.csr_matrix:
-        """Return the part of this rank of the matrix that preconditions ``S`` (n_local, n_local).
-
-        It is ``S`` itself if points have few members, such as sectors, because no simpler matrix is a good
-        approximation. Otherwise it is the matrix of one point per particle with near members only. A row then has about
-        25 entries in 2D and 85 in 3D, for any horizon.
-        """
-        cloud, operator = self.cloud, self._operator
-        if total(cloud.comm, len(operator.members)) <= FEW[cloud.dim] * total(cloud.comm, operator.n_points):
-            return self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
-        dim, n = cloud.dim, cloud.n_owned
-        reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
-        reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
-        near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
-        counts = np.bincount(families.centres[near], minlength=n)
-        ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
-        members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
-        return self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
-
-    def _matrix(
-        self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float
-    ) -> scipy.sparse.csr_matrix:
-        """Return ``C (I - Phi M^-1 Phi^T) C^T`` for points with these owners, members and volumes."""
-        cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
-        M = np.empty((points, dim + 1, dim + 1))
-        linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.local_horizon[owner], M)
-        low, axes = np.linalg.eigh(M)
-        keep = low > 1e-12 * low[:, -1:]
-        root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
-        of = np.repeat(np.arange(points), np.diff(ptr))
-        xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.local_horizon[owner[of], None]
-        phi = np.concatenate([np.ones((len(of), 1)), xi], axis=1)
-        D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
-        width, n = dim + 1, cloud.n_local
-        columns = (of[:, None] * width + np.arange(width)).ravel()
-        shared = scipy.sparse.csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
-        diagonal = np.bincount(members, W[of] ** 2, n)
-        found = scipy.sparse.csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
-        return scipy.sparse.csr_matrix(found)
-
-    def turned(self, matrix: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
-        """Multiply a matrix over the local particles by the signs of the component there (not collective)."""
-        sign = np.ones((self.cloud.n_local, 1))
-        self._turn(sign)
-        return scipy.sparse.csr_matrix(matrix.multiply(sign).multiply(sign.T))
+    def _turn(self, values: Float) -> None:
+        """Multiply the ghosts of ``values`` (n_local, dim) by the signs of their components (not collective)."""
+        if len(self.cloud.sign):
+            values[self.cloud.n_owned :] *= self.cloud.sign
 
     @property
     def _geometry(self) -> tuple[Any, ...]:
-        operator = self._operator
+        operator = self.operator
         return operator.point_ptr, operator.members, self.cloud.x, self._size, self._inverse
 
 
-# Solves S lambda = r: system, near matrix, right-hand sides (n_owned, dim), relative tolerance -> lambda, iterations.
-SolveSystem: TypeAlias = "Callable[[ConformingSystem, scipy.sparse.csr_matrix, Float, float], tuple[Float, int]]"
+# Solves S lambda = r: system, approximate inverse, r (n_owned, dim), relative tolerance -> lambda, iterations.
+SolveSystem: TypeAlias = "Callable[[ConformingSystem, NearInverse, Float, float], tuple[Float, int]]"
 
 
 def conforming(
@@ -267,24 +245,20 @@ def conforming(
     if before <= TOLERANCE * scale:
         return operator
     g, left, after, iterations = operator.g, excess, before, 0
-    systems = [system]
-    if cloud.places.planes:
-        systems = [system.of_component(component) for component in range(cloud.dim)]
-    close = system.near_matrix(families)
-    near = [one.turned(close) for one in systems]
-    for _ in range(ROUNDS):
-        # The next round removes the round-off of many iterations.
-        tolerance = max(0.1 * TOLERANCE * scale / after, 1e-12)
-        parts = np.split(-left, len(systems), axis=1)
-        solved = [solve(one, of_it, part, tolerance) for one, of_it, part in zip(systems, near, parts, strict=True)]
-        multipliers, more = np.concatenate([part for part, _ in solved], axis=1), sum(count for _, count in solved)
-        changed = g + system.change(multipliers)
-        rest = system.excess(changed, s)
-        found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))
-        iterations += more
-        if not found < 0.5 * after:
-            break
-        g, left, after = changed, rest, found
+    for near_inverse in near_inverses(system, families):
+        near = near_inverse(system, families)
+        for _ in range(ROUNDS):
+            # The next round removes the round-off of many iterations.
+            multipliers, more = solve(system, near, -left, max(0.1 * TOLERANCE * scale / after, 1e-12))
+            changed = g + system.change(multipliers)
+            rest = system.excess(changed, s)
+            found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))
+            iterations += more
+            if not found < 0.5 * after:
+                break
+            g, left, after = changed, rest, found
+            if after <= TOLERANCE * scale:
+                break
         if after <= TOLERANCE * scale:
             break
     if not after <= TOLERANCE * scale:

@@ -9,8 +9,9 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
+from pdpetsc.gradient.near_inverse import DIRECT, Entries
 from pdpetsc.petsc.options import Options
-from pdpetsc.petsc.scalar import DIRECT, assembled
+from pdpetsc.petsc.scalar import assembled
 
 PREFIX = "heat_"
 RTOL = 1e-13
@@ -49,7 +50,10 @@ class ScalarMatrix:
         self._cloud = cloud
         self._held = held
         self._diagonal = np.zeros(cloud.n_owned)
-        self._whole = assembled(cloud, near, 0.0)
+        entries = near.tocoo()
+        rows, columns = cloud.row[entries.row], cloud.row[entries.col]
+        sizes = (cloud.n_owned, cloud.n_global)
+        self._whole = assembled(cloud.comm, sizes, Entries(rows, columns, entries.data), 0.0)
         rows = (cloud.first + np.flatnonzero(held)).astype(PETSc.IntType)
         self._inside = self._whole.copy()
         # Isolated particles keep their value.

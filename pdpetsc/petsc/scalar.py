@@ -1,17 +1,17 @@
-"""Symmetric systems with one unknown per particle, preconditioned by a similar sparse matrix."""
+"""The system of conforming weights, and sparse matrices whose entries ranks share."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 import scipy
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import exchange
+from pdpetsc.discrete.communicator import Comm, exchange, offset, total
+from pdpetsc.gradient.conforming import ConformingSystem
+from pdpetsc.gradient.near_inverse import Entries, NearInverse
 from pdpetsc.petsc.options import Options
 
 # Shift of the diagonal of the preconditioner, as a share of it. It removes the null space of the preconditioner.
@@ -24,127 +24,125 @@ MULTIGRID = {
     "weights_mg_levels_ksp_max_it": 3,
     "weights_mg_coarse_pc_type": "svd",
 }
+# Mean number of entries of a row below which aggregates of multigrid are small: half the iterations. With longer rows
+# they take seven times as long to set up.
+SHORT = 50
 FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
-# Largest number of particles for which the near matrix is factored, by dimension.
-DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
-# Largest number of iterations. A system that needs more has almost nothing to solve.
-MOST = 2000
-
-
-class ScalarSystem(Protocol):
-    """Define a symmetric positive semidefinite system on the particles of a cloud."""
-
-    cloud: Cloud
-
-    @property
-    def null_functions(self) -> Sequence[Float]:
-        """Return the functions on the own particles (n_owned,) that span the null space (collective)."""
-        ...
-
-    def product(self, values: Float) -> Float:
-        """Compute the product with values of the own particles (n_owned, columns) (collective)."""
-        ...
 
 
 class _Product:
     """Provide the system as a PETSc shell matrix."""
 
-    def __init__(self, system: ScalarSystem) -> None:
+    def __init__(self, system: ConformingSystem) -> None:
         self._system = system
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Compute the product."""
-        with y as values:
-            values[:] = self._system.product(x.getArray(readonly=True)[:, None])[:, 0]
+        y.setArray(self._system.product(x.array_r.reshape(-1, self._system.cloud.dim)).ravel())
 
 
 class _Preconditioner:
-    """Apply the multigrid cycle of the near matrix only. PETSc would smooth with the system on the finest level."""
+    """Apply an approximate inverse, with a factor or a multigrid cycle of its matrices (construction is collective)."""
 
-    def __init__(self, inner: PETSc.PC) -> None:
-        self._inner = inner
+    def __init__(self, near: NearInverse, comm: Comm, options: Options) -> None:
+        self._near, n = near, len(near.x)
+        self._inner: list[PETSc.PC] = []
+        count = int(total(comm, n))
+        direct = count <= near.direct[near.x.shape[1]]
+        options.suggest(FACTOR if direct else MULTIGRID)
+        for entries in near.matrices:
+            matrix = assembled(comm, (n, count), entries, LIFTED)
+            if not direct and matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] < SHORT * count:
+                options.suggest({"weights_pc_gamg_square_graph": 0})
+            vectors = _orthonormal(comm, [np.ones((n, 1)), *near.x.T[:, :, None]])
+            linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
+            matrix.setNearNullSpace(linear)
+            pc = PETSc.PC().create(comm=comm)
+            pc.setOptionsPrefix(PREFIX)
+            pc.setOperators(matrix)
+            self._inner.append(pc)
+            with options.active():
+                pc.setFromOptions()
+                pc.setUp()
+            self._b, self._x = matrix.createVecs()
+            for thing in (matrix, linear, *vectors):
+                thing.destroy()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply one cycle."""
-        self._inner.apply(x, y)
+        """Apply the approximate inverse."""
+        near, dim = self._near, self._near.x.shape[1]
+        r = x.array_r.reshape(-1, dim)
+        values = near.restrict(r)
+        solved = np.empty_like(values)
+        for component in range(dim):
+            self._b.setArray(values[:, component])
+            self._inner[component % len(self._inner)].apply(self._b, self._x)
+            solved[:, component] = self._x.array_r
+        y.setArray((r * near.inverse_diagonal + near.interpolate(solved)).ravel())
+
+    def destroy(self, pc: PETSc.PC) -> None:
+        """Free the PETSc objects; called by PETSc with the last use of the preconditioner."""
+        for thing in (*self._inner, self._b, self._x):
+            thing.destroy()
 
 
-def solve_scalar(
-    system: ScalarSystem, near: scipy.sparse.csr_matrix, rhs: Float, rtol: float, options: Options | None = None
+def solve_conforming(
+    system: ConformingSystem, near: NearInverse, rhs: Float, rtol: float, options: Options | None = None
 ) -> tuple[Float, int]:
-    """Solve a system whose null space consists of linear functions; return solutions and total iterations.
+    """Solve the system of conforming weights for all components; return the multipliers and iterations.
 
     Parameters
     ----------
-    near : (n_local, n_local) sparse
-        Contribution of this rank to the preconditioning matrix, over its particles with ghosts.
-    rhs : (n_owned, n) float64
-        Right-hand sides; each one is solved.
+    near : NearInverse
+        Approximate inverse.
+    rhs : (n_owned, dim) float64
+        Right-hand side.
     rtol : float
         Relative tolerance of the residual.
     options : Options, optional
-        Options of the run, which may change the solver; by default only those of the command line.
+        Options of the run, which may change the preconditioner; by default only those of the command line.
 
     Notes
     -----
     Collective. The caller must check the quality of the solution.
     """
     cloud = system.cloud
-    sizes = (cloud.n_owned, cloud.n_global)
-    found = np.zeros_like(rhs)
-    options = Options({}) if options is None else options
-    options.suggest(FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
+    sizes = (cloud.n_owned * cloud.dim, cloud.n_global * cloud.dim)
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
-    x = cloud.x[: cloud.n_owned]
-    matrix, vectors = assembled(cloud, near), _orthonormal(cloud, [np.ones(len(x)), *x.T])
-    near_null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
-    matrix.setNearNullSpace(near_null_space)
-    exact = _orthonormal(cloud, system.null_functions)
+    exact = _orthonormal(cloud.comm, system.null_functions)
     null_space = PETSc.NullSpace().create(vectors=exact, comm=cloud.comm)
     operator.setNullSpace(null_space)
     ksp = PETSc.KSP().create(comm=cloud.comm)
-    ksp.setType("cg")
-    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-    ksp.setOperators(operator)
-    inner = PETSc.PC().create(comm=cloud.comm)
-    inner.setOptionsPrefix(PREFIX)
-    inner.setOperators(matrix)
-    ksp.getPC().setType("python")
-    ksp.getPC().setPythonContext(_Preconditioner(inner))
-    ksp.setTolerances(rtol=rtol, atol=0.0, max_it=MOST)
-    b, x = matrix.createVecs()
-    iterations = 0
+    b, x = operator.createVecs()
     try:
-        with options.active():
-            inner.setFromOptions()
-            inner.setUp()
-            for column in range(rhs.shape[1]):
-                b.setArray(rhs[:, column])
-                x.set(0.0)
-                ksp.solve(b, x)
-                iterations += ksp.getIterationNumber()
-                found[:, column] = x.getArray(readonly=True)
+        ksp.setType("cg")
+        ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        ksp.setOperators(operator)
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(_Preconditioner(near, cloud.comm, Options({}) if options is None else options))
+        ksp.setTolerances(rtol=rtol, atol=0.0, max_it=near.most)
+        b.setArray(rhs.ravel())
+        ksp.solve(b, x)
+        return np.array(x.array_r).reshape(rhs.shape), ksp.getIterationNumber()
     finally:
-        for thing in (ksp, inner, b, x, operator, matrix, near_null_space, null_space, *vectors, *exact):
+        for thing in (ksp, b, x, operator, null_space, *exact):
             thing.destroy()
-    return found, iterations
 
 
-def assembled(cloud: Cloud, near: scipy.sparse.csr_matrix, lifted: float = LIFTED) -> PETSc.Mat:
-    """Assemble the sum of the contributions of all ranks, with a diagonal shifted by ``lifted`` (collective)."""
-    sizes = (cloud.n_owned, cloud.n_global)
-    entries = near.tocoo()
-    # Rows of a cloud number its particles first, in the order of ranks.
-    rows, columns = cloud.row[entries.row], cloud.row[entries.col]
-    firsts = np.array(cloud.comm.allgather(cloud.first))
-    owner = np.searchsorted(firsts, rows, side="right") - 1
-    (rows, columns, values), _ = exchange(cloud.comm, owner, [rows, columns, entries.data])
-    own = scipy.sparse.csr_matrix((values, (rows - cloud.first, columns)), shape=sizes)
+def assembled(comm: Comm, sizes: tuple[int, int], entries: Entries, lifted: float) -> PETSc.Mat:
+    """Assemble the sum of the entries of all ranks, with a diagonal shifted by ``lifted`` (collective).
+
+    ``sizes`` are the number of own rows and that of all rows.
+    """
+    first = offset(comm, sizes[0])
+    owner = np.searchsorted(np.array(comm.allgather(first)), entries.rows, side="right") - 1
+    (rows, columns, values), _ = exchange(comm, owner, list(entries))
+    own = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=sizes)
     own.sum_duplicates()
     csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
-    mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=cloud.comm)
+    mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=comm)
     if not lifted:
         return mat
     diagonal = mat.getDiagonal()
@@ -158,22 +156,18 @@ def assembled(cloud: Cloud, near: scipy.sparse.csr_matrix, lifted: float = LIFTE
     return mat
 
 
-def _orthonormal(cloud: Cloud, functions: Sequence[Float]) -> list[PETSc.Vec]:
-    """Compute an orthonormal basis of functions on the own particles (n_owned,).
-
-    Notes
-    -----
-    Collective.
-    """
-    n = cloud.n_owned
+def _orthonormal(comm: Comm, functions: Sequence[Float]) -> list[PETSc.Vec]:
+    """Compute an orthonormal basis of functions on own unknowns (n, columns) (collective)."""
     made: list[PETSc.Vec] = []
     for values in functions:
-        vector = PETSc.Vec().createMPI((n, cloud.n_global), comm=cloud.comm)
-        vector.setArray(values)
+        vector = PETSc.Vec().createMPI((values.size, PETSc.DECIDE), comm=comm)
+        vector.setArray(values.ravel())
         for _ in range(2):
             for other in made:
                 vector.axpy(-vector.dot(other), other)
         if vector.norm() > 0.0:
             vector.normalize()
             made.append(vector)
+        else:
+            vector.destroy()
     return made

@@ -51,7 +51,7 @@ from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Material
 from pdpetsc.material.graded import Graded
 from pdpetsc.petsc.options import Options
-from pdpetsc.petsc.scalar import solve_scalar
+from pdpetsc.petsc.scalar import solve_conforming
 from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, DamageModel, make_damage
@@ -530,7 +530,7 @@ def _points(
     laws, index, factor = materials.at_points, materials.index, materials.factor
 
     def weigh(operator: GradientOperator) -> GradientOperator:
-        solve = partial(solve_scalar, options=options)
+        solve = partial(solve_conforming, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None and not case.damage.point_laws and case.gradients.patches is not None:

@@ -90,7 +90,7 @@ def test_nodes_have_the_energy_of_the_body_in_every_uniform_deformation(rng, mon
         H = rng.standard_normal((dim, dim))
         H = H + H.T if cloud.images is not None else H
         where = np.zeros((len(grid.numbers), dim))
-        where[: len(grid._own_positions)] = grid._own_positions
+        where[: len(grid.own_positions)] = grid.own_positions
         nodal, fine = where @ H.T, np.zeros((cloud.n_rows, dim))
         fine[:n] = cloud.x[:n] @ H.T
         if cloud.images is not None:

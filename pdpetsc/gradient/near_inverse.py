@@ -1,0 +1,295 @@
+"""Sparse matrices that approximate the system of conforming weights, for its preconditioner."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import scipy
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.background_grid import BackgroundGrid
+from pdpetsc.discrete.communicator import exchange, largest, total
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.halo import Halo
+from pdpetsc.kernels.background import sum_in_elements
+from pdpetsc.kernels.conforming import linear_moments_kernel
+from pdpetsc.kernels.near import reach_kernel
+from pdpetsc.kernels.sparsity import nearest_neighbours
+
+if TYPE_CHECKING:
+    from pdpetsc.gradient.conforming import ConformingSystem
+
+# Near members are at most this many times as far away as the 2 dim-th nearest member. On lattices this includes the
+# diagonals.
+NEAR = 1.6
+# Largest mean number of members of points with few members, by dimension.
+FEW = {1: 10.0, 2: 14.0, 3: 12.0}
+# Least mean number of members of points for a grid, and largest ratio of horizons.
+ENOUGH, UNIFORM = 6.5, 1.5
+# Least width of the cells of a grid over the distance of neighbours.
+LEAST_WIDTH = 2.0
+# Largest number of iterations with a grid and with nearest neighbours. A system that needs more of the latter has
+# almost nothing to solve.
+MOST_ON_GRID, MOST = 200, 2000
+# Largest number of unknowns for which a matrix is factored, by dimension.
+DIRECT_ON_GRID, DIRECT = {2: 250_000, 3: 30_000}, {1: 10**7, 2: 250_000, 3: 6_000}
+
+
+class Entries(NamedTuple):
+    """Entries of a matrix with global numbers, which are summed over all ranks.
+
+    Attributes
+    ----------
+    rows, columns : (n,) int64
+        Global numbers.
+    values : (n,) float64
+        Values.
+    """
+
+    rows: GlobalIndex
+    columns: GlobalIndex
+    values: Float
+
+
+class NearInverse(ABC):
+    """Approximate the inverse of the system, ``r / d + I K^-1 I^T r`` with a sparse matrix ``K`` for each component.
+
+    Attributes
+    ----------
+    x : (n, dim) float64
+        Positions of the own unknowns of the matrices.
+    matrices : list of Entries
+        The matrix of all components, or one of each.
+    inverse_diagonal : (n_owned, 1) float64
+        ``1 / d``.
+    most : int
+        Largest number of iterations.
+    direct : dict
+        Largest number of unknowns for which a matrix is factored, by dimension.
+    """
+
+    direct: Mapping[int, int]
+    x: Float
+    matrices: list[Entries]
+    inverse_diagonal: Float
+    most: int
+
+    @abstractmethod
+    def __init__(self, system: ConformingSystem, families: Families) -> None: ...
+
+    @abstractmethod
+    def restrict(self, values: Float) -> Float:
+        """Compute ``I^T r`` (n, dim) of the own unknowns from values (n_owned, dim) (collective)."""
+
+    @abstractmethod
+    def interpolate(self, values: Float) -> Float:
+        """Compute ``I v`` (n_owned, dim) from values (n, dim) of the own unknowns (collective)."""
+
+
+class OfNearest(NearInverse):
+    """The system itself if points have few members, such as sectors; otherwise that of nearest neighbours only.
+
+    No simpler matrix approximates the system of points with few members. Otherwise it is the system of one point per
+    particle with near members only. A row then has about 25 entries in 2D and 85 in 3D, for any horizon.
+
+    Parameters
+    ----------
+    system : ConformingSystem
+        The system.
+    families : Families
+        Bonds of the own particles.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    most, direct = MOST, DIRECT
+
+    def __init__(self, system: ConformingSystem, families: Families) -> None:
+        self._cloud = cloud = system.cloud
+        dim, n, operator = cloud.dim, cloud.n_owned, system.operator
+        self.x, self.inverse_diagonal = cloud.x[:n], np.zeros((n, 1))
+        if system.mean_members <= FEW[dim]:
+            found = self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
+        else:
+            reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
+            reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
+            near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
+            counts = np.bincount(families.centres[near], minlength=n)
+            ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
+            members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
+            found = self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
+        rows, columns = cloud.row[found.row], cloud.row[found.col]
+        self.matrices = [Entries(rows, columns, found.data)]
+        if len(cloud.sign):
+            sign = np.ones((cloud.n_local, dim))
+            sign[n:] = cloud.sign
+            turned = sign[found.row] * sign[found.col] * found.data[:, None]
+            self.matrices = [Entries(rows, columns, turned[:, component]) for component in range(dim)]
+
+    def restrict(self, values: Float) -> Float:
+        """Return the values."""
+        return values
+
+    def interpolate(self, values: Float) -> Float:
+        """Return the values."""
+        return values
+
+    def _matrix(
+        self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float
+    ) -> scipy.sparse.coo_matrix:
+        """Return ``C (I - Phi M^-1 Phi^T) C^T`` for points with these owners, members and volumes."""
+        cloud, dim, points = self._cloud, self._cloud.dim, len(owner)
+        M = np.empty((points, dim + 1, dim + 1))
+        linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.local_horizon[owner], M)
+        low, axes = np.linalg.eigh(M)
+        keep = low > 1e-12 * low[:, -1:]
+        root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
+        of = np.repeat(np.arange(points), np.diff(ptr))
+        xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.local_horizon[owner[of], None]
+        phi = np.concatenate([np.ones((len(of), 1)), xi], axis=1)
+        D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
+        width, n = dim + 1, cloud.n_local
+        columns = (of[:, None] * width + np.arange(width)).ravel()
+        shared = scipy.sparse.csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
+        diagonal = np.bincount(members, W[of] ** 2, n)
+        found = scipy.sparse.csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
+        return scipy.sparse.coo_matrix(found)
+
+
+class OnGrid(NearInverse):
+    """The diagonal of the system, and the curvature of functions on a background grid.
+
+    The system resists waves shorter than two horizons like its diagonal. For longer waves its energy is that of a
+    plate, a quadratic form of the second derivatives of the multipliers. Here it is
+
+    ``sum_q sum_m e_qm (u_q+m - 2 u_q + u_q-m)^2 / w_m^4 + sum_e sum_mn e_emn (D_m D_n u)^2 / (w_m w_n)^2``
+
+    over nodes ``q`` and elements ``e`` of cells of width ``w``, with the mean difference ``D_m`` of the faces of an
+    element. ``e_qm`` and ``e_emn`` are the energies of ``x_m^2 / 2`` and ``x_m x_n`` near the node and in the element,
+    so that the energy of these functions is exact.
+
+    Parameters
+    ----------
+    system : ConformingSystem
+        The system.
+    families : Families
+        Bonds of the own particles.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    most, direct = MOST_ON_GRID, DIRECT_ON_GRID
+
+    def __init__(self, system: ConformingSystem, families: Families) -> None:
+        self._cloud = cloud = system.cloud
+        self._n, self._dim = cloud.n_owned, cloud.dim
+        nearest = cloud.local_horizon[: self._n].copy()
+        nearest_neighbours(families.indptr, families.neighbours, cloud.x, nearest)
+        spacing = float(total(cloud.comm, float(nearest.sum()))) / cloud.n_global
+        every, free = np.empty(0, dtype=bool), np.ones((cloud.n_rows, cloud.dim), dtype=bool)
+        width = max(cloud.horizon, LEAST_WIDTH * spacing)
+        self._grid = grid = BackgroundGrid(cloud, families, every, width, free)
+        self.x = grid.own_positions
+        own = (grid.numbers >= grid.first) & (grid.numbers < grid.first + len(self.x))
+        firsts = np.array(cloud.comm.allgather(grid.first))
+        others = np.flatnonzero(~own[: grid.n_local])
+        owner = np.searchsorted(firsts, grid.numbers[others], side="right") - 1
+        # Own nodes first, then those of others by their rank.
+        self._order = np.concatenate([np.flatnonzero(own), others])
+        self._halo = Halo(cloud.comm, len(self.x), owner, grid.numbers[others] - firsts[owner])
+        self.inverse_diagonal = 1.0 / system.diagonal[:, None]
+        self.matrices = self._curvature(firsts, system.energies, grid.cells.width / cloud.horizon)
+
+    def restrict(self, values: Float) -> Float:
+        """Compute the sums over the particles, ``sum_i N_q(x_i) r_i``."""
+        virtual = np.zeros((self._cloud.n_virtual, self._dim))
+        nodal = self._grid.restrict(np.concatenate([values, virtual]))[self._order]
+        self._halo.reverse(nodal)
+        return np.asarray(nodal[: len(self.x)])
+
+    def interpolate(self, values: Float) -> Float:
+        """Compute the values of the particles, ``sum_q N_q(x_i) v_q``."""
+        local, nodal = np.zeros((len(self._order), self._dim)), np.zeros((len(self._grid.numbers), self._dim))
+        local[: len(self.x)] = values
+        self._halo.forward(local)
+        nodal[self._order] = local
+        return self._grid.interpolate(nodal)[: self._n]
+
+    def _curvature(self, firsts: GlobalIndex, energies: Float, width: Float) -> list[Entries]:
+        """Return the matrix of second derivatives, for each component if there are mirror planes (collective).
+
+        ``energies`` (n_owned, functions) are those of ``x_m^2 / 2``, then of ``x_m x_n``.
+        """
+        grid, dim, n = self._grid, self._dim, len(self.x)
+        node, held = grid.numbers[grid.corners], grid.held[grid.corners]
+        at_nodes = grid.sums(np.ascontiguousarray(energies[:, :dim]))[self._order]
+        self._halo.reverse(at_nodes)
+        in_elements = np.zeros((len(node), energies.shape[1]))
+        sum_in_elements(grid.element, energies, in_elements)
+        # Neighbours of each node along each axis, at its owner: node, axis and side, neighbour, what holds the latter.
+        lines = []
+        for m in range(dim):
+            low = np.flatnonzero(grid.cells.corners[:, m] == 0)
+            for side, (here, there) in enumerate([(low + (1 << m), low), (low, low + (1 << m))]):
+                bits = held[:, there] @ (1 << np.arange(dim))
+                same = np.full(node[:, here].size, 2 * m + side)
+                lines.append(np.stack([node[:, here].ravel(), same, node[:, there].ravel(), bits.ravel()], axis=1))
+        sent = np.concatenate(lines).astype(np.int64)
+        (found,), _ = exchange(self._cloud.comm, np.searchsorted(firsts, sent[:, 0], side="right") - 1, [sent])
+        known, index = np.unique(np.concatenate([grid.first + np.arange(n), found[:, 2]]), return_inverse=True)
+        own, other = np.split(index.reshape(-1), [n])
+        holds = np.zeros((len(known), dim), dtype=bool)
+        holds[own], holds[other] = grid.held[self._order[:n]], found[:, 3:] >> np.arange(dim) & 1
+        middle = scipy.sparse.csr_matrix((np.full(n, 2.0), (np.arange(n), own)), shape=(n, len(known)))
+        parts: list[tuple[scipy.sparse.csr_matrix, Float, GlobalIndex, Mask]] = []
+        for m in range(dim):
+            sides: list[scipy.sparse.csr_matrix] = []
+            present: list[Mask] = []
+            for side in range(2):
+                of = found[:, 1] == 2 * m + side
+                each = scipy.sparse.csr_matrix(
+                    (np.ones(of.sum()), (found[of, 0] - grid.first, other[of])), shape=middle.shape
+                )
+                count = np.asarray(each.sum(axis=1)).ravel()
+                present.append(count > 0)
+                sides.append(scipy.sparse.diags(1.0 / np.maximum(count, 1.0)) @ each)
+            # The image of the neighbour is on the other side of a mirror plane.
+            mirrored = holds[own, m] & (present[0] ^ present[1])
+            mean = scipy.sparse.diags(1.0 + mirrored) @ (sides[0] + sides[1])
+            weight = np.where((present[0] & present[1]) | mirrored, at_nodes[:n, m] / width[m] ** 4, 0.0)
+            parts.append((mean - middle, weight, known, holds))
+        upper = 2.0 * grid.cells.corners - 1.0
+        corners = grid.corners.ravel(), 2**dim * np.arange(len(node) + 1)
+        for at, (m, k) in enumerate(combinations(range(dim), 2), dim):
+            twist = np.tile(upper[:, m] * upper[:, k] / 2.0 ** (dim - 2), len(node))
+            matrix = scipy.sparse.csr_matrix((twist, *corners), shape=(len(node), len(grid.numbers)))
+            parts.append((matrix, in_elements[:, at] / (width[m] * width[k]) ** 2, grid.numbers, grid.held))
+        return [self._matrix(parts, c) for c in range(dim if len(self._cloud.sign) else 1)]
+
+    @staticmethod
+    def _matrix(parts: list[tuple[scipy.sparse.csr_matrix, Float, GlobalIndex, Mask]], component: int) -> Entries:
+        """Return the sum of ``T^T w T`` over (T, w, number of each column, components held there)."""
+        found = []
+        for T, weight, number, held in parts:
+            free = T @ scipy.sparse.diags(1.0 - held[:, component])
+            product = scipy.sparse.coo_matrix(free.T @ scipy.sparse.diags(weight) @ free)
+            found.append((number[product.row], number[product.col], product.data))
+        return Entries(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def near_inverses(system: ConformingSystem, families: Families) -> Sequence[type[NearInverse]]:
+    """Return the approximations that suit a system, the fastest first (collective)."""
+    cloud = system.cloud
+    here = cloud.local_horizon[: cloud.n_owned]
+    widest = largest(cloud.comm, float(here.max(initial=0.0)))
+    narrowest = -largest(cloud.comm, float(-here.min(initial=np.inf)))
+    alike = widest <= UNIFORM * narrowest
+    return [OnGrid, OfNearest] if cloud.dim > 1 and alike and system.mean_members > ENOUGH else [OfNearest]

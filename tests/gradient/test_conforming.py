@@ -15,6 +15,7 @@ from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.surface import surface_of
+from pdpetsc.gradient import near_inverse
 from pdpetsc.petsc.scalar import solve_conforming
 from tests.commands import ROOT, jacobian_ratios, printed, python_on, results
 from tests.pairs import pairs
@@ -69,10 +70,10 @@ def shaken_plate(n=8, shake=0.3, thickness=1.0, unit=1.0, seed=2, **changes):
     return pd.Arrays(x, dx**2 * thickness, thickness=thickness, facets=lattice.surface(), **changes)
 
 
-def pieces(particles, horizon, cell=None, cracks=()):
+def pieces(particles, horizon, cell=None, cracks=(), symmetry=()):
     """Return cloud, families and surface of particles on this process."""
     part = particles.chunk(0, 1)
-    cloud = distribute(world(), part.x, part.volume, part.sets, horizon, cell)
+    cloud = distribute(world(), part.x, part.volume, part.sets, horizon, cell, symmetry)
     families = find_families(cloud, cracks)
     return cloud, families, surface_of(cloud, families, particles.surface(0, 1, cracks))
 
@@ -94,6 +95,39 @@ def sums_over_points(cloud, operator):
     np.add.at(found, np.searchsorted(np.sort(cloud.gid[: cloud.n_owned]), cloud.gid[cloud.n_owned :]),
               found[cloud.n_owned :])  # fmt: skip
     return found[: cloud.n_owned]
+
+
+GRIDS = {
+    "plate": (shaken_plate(), 2.515 / 8, {}),
+    "mirror planes": (shaken_plate(), 2.515 / 8, {"symmetry": [pd.Symmetry("x", 0.0), pd.Symmetry("y", 0.0)]}),
+    "cell": (shaken_plate(shake=0.2), 2.515 / 8, {"cell": pd.Cell((0.0, 0.0), (2.0, 1.0), axes="x")}),
+    "crack": (
+        pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.1),
+        0.3015,
+        {"cracks": [pd.Segment((0.55, 0.5), (1.45, 0.5))]},
+    ),
+    "solid": (pd.Lattice((0.0, 0.0, 0.0), (1.0, 0.6, 0.6), 0.1), 0.2015, {}),
+    "solid half": (
+        pd.Lattice((0.0, 0.0, 0.0), (1.0, 0.6, 0.6), 0.1),
+        0.2015,
+        {"symmetry": [pd.Symmetry("z", 0.0)]},
+    ),
+}
+
+
+@pytest.mark.parametrize("scene", GRIDS)
+def test_a_grid_and_nearest_neighbours_lead_to_the_same_weights(scene, monkeypatch):
+    particles, horizon, more = GRIDS[scene]
+    found = []
+    for enough, most in ((near_inverse.ENOUGH, near_inverse.MOST_ON_GRID), (np.inf, 0), (near_inverse.ENOUGH, 3)):
+        # The last one does not end on the grid, and goes on with nearest neighbours.
+        monkeypatch.setattr(near_inverse, "ENOUGH", enough)
+        monkeypatch.setattr(near_inverse.OnGrid, "most", most)
+        found.append(weights_of(particles, horizon, **more)[3])
+    scale = np.abs(found[1].g).max()
+    for operator in found:
+        assert np.abs(operator.g - found[1].g).max() < 1e-8 * scale
+    assert int(found[0].note.split(" iterations")[0].split()[-1]) < 60
 
 
 @pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons()])

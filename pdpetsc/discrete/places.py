@@ -90,6 +90,8 @@ class Places:
 
     def at_home(self, place: GlobalIndex, x: Float) -> Float:
         """Return the positions at home of points ``x`` (n, dim) whose images are in these places [length]."""
+        if self.n == 1:
+            return x
         row = place + self.home
         return np.asarray(self.sign[row] * (x - self.shift[row]))
 

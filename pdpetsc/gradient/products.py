@@ -120,6 +120,10 @@ class Product:
         """Return the product if its stiffness makes it nearly a constraint, else None (not collective)."""
         return None
 
+    def stiff(self) -> RankOneProduct | None:
+        """Return the product if its springs are many times stiffer than the body, else None (not collective)."""
+        return None
+
     def together(self, other: Product) -> Loop | None:
         """Return ``add_product`` of both in one loop if that is faster, else None (not collective)."""
         return None
@@ -226,24 +230,37 @@ class RankOneProduct(Product):
         Vectors of the members; ``g`` sums to zero in each stencil.
     b : (n_stencils,) float64
         Factor of each stencil. ``b h g`` is a force per length.
+
+    Attributes
+    ----------
+    data : tuple
+        Start and members of each stencil, ``h``, ``g`` and ``b``.
     """
 
     def __init__(self, stencils: StencilMembers, n_owned: int, h: Float, g: Float, b: Float) -> None:
-        self._stencils, self._data = stencils, (stencils.point_ptr, stencils.members, h, g, b)
+        self._stencils, self.data = stencils, (stencils.point_ptr, stencils.members, h, g, b)
         self._first = np.searchsorted(stencils.owner, np.arange(n_owned + 1))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add ``b_s h_s (g_s . du)`` of the stencils of the particles."""
-        rank_one_times_kernel(du.shape[1])(particles, self._first, *self._data, du, f)
+        rank_one_times_kernel(du.shape[1])(particles, self._first, *self.data, du, f)
 
     def add_rows(self, entries: Entries) -> None:
         """Add ``b_s h_s (x) g_s``."""
-        entries.add(rank_one_rows_kernel(entries.sparsity.cloud.dim), self._stencils, *self._data)
+        entries.add(rank_one_rows_kernel(entries.sparsity.cloud.dim), self._stencils, *self.data)
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add ``b_s h_sk (x) g_sk`` of every member ``k``."""
-        rank_one_blocks_kernel(blocks.shape[-1])(*self._data, blocks)
+        rank_one_blocks_kernel(blocks.shape[-1])(*self.data, blocks)
         return True
+
+
+class FacetProduct(RankOneProduct):
+    """Springs between the particles of facets that touch or are tied, many times stiffer than the body."""
+
+    def stiff(self) -> FacetProduct:
+        """Return itself."""
+        return self
 
 
 class SofteningProduct(RankOneProduct):

@@ -47,6 +47,36 @@ def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
+def facet_times_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``times(particles, first, ptr, members, N, blocks, u, f)``: adds ``N_k B_s (sum_l N_l u_l)`` to ``k``.
+
+    The facets of own particle ``i`` are ``first[i]`` to ``first[i + 1]``; only those of ``particles`` are added.
+    """
+
+    @compiled
+    def times(particles, first, ptr, members, N, blocks, u, f):  # type: ignore[no-untyped-def]
+        moved = np.empty(dim)
+        force = np.empty(dim)
+        for q in range(particles.size):
+            i = particles[q]
+            for s in range(first[i], first[i + 1]):
+                for m in range(dim):
+                    moved[m] = 0.0
+                for t in range(ptr[s], ptr[s + 1]):
+                    for m in range(dim):
+                        moved[m] += N[t] * u[members[t], m]
+                for m in range(dim):
+                    force[m] = 0.0
+                    for n in range(dim):
+                        force[m] += blocks[s, m, n] * moved[n]
+                for t in range(ptr[s], ptr[s + 1]):
+                    for m in range(dim):
+                        f[members[t], m] += N[t] * force[m]
+
+    return times
+
+
+@lru_cache
 def rank_one_rows_kernel(dim: int) -> Callable[..., Any]:
     """Return ``rows(layout, ptr, members, h, g, b, diag, off)``, which adds ``K_ac = sum_s b_s h_sa (x) g_sc``."""
 

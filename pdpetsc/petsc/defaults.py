@@ -106,9 +106,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     if choice.levels and problem.constrained:
         # The preconditioner is an iterative saddle-point solve, which varies between applications.
         defaults |= {"ksp_type": "fgmres", "pc_type": "python"}
-        return defaults | {f"soft_{name}": value for name, value in _of_levels(choice.levels).items()}
+        return defaults | {f"soft_{name}": value for name, value in _of_levels(choice.levels, problem).items()}
     if choice.levels:
-        return defaults | {"pc_type": "mg"} | _of_levels(choice.levels)
+        return defaults | {"pc_type": "mg"} | _of_levels(choice.levels, problem)
     if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
         defaults["pc_gamg_reuse_interpolation"] = "true"
@@ -118,7 +118,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     return defaults
 
 
-def _of_levels(kind: str) -> dict[str, object]:
+def _of_levels(kind: str, problem: Problem) -> dict[str, object]:
     """Return the options of the two levels: by default, one application of the tangent per iteration.
 
     The sum of the corrections of both levels needs about twice the iterations of a cycle. An iteration applies the
@@ -128,7 +128,11 @@ def _of_levels(kind: str) -> dict[str, object]:
     coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 3, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}
     coarse |= {"mg_coarse_pc_gamg_agg_nsmooths": 1, "mg_coarse_pc_gamg_threshold": 0.01}
     coarse["mg_coarse_pc_gamg_reuse_interpolation"] = "true"
-    levels: dict[str, object] = {"pc_mg_type": kind, "mg_levels_pc_type": "pbjacobi", **coarse}
+    levels: dict[str, object] = {
+        "pc_mg_type": kind,
+        "mg_levels_pc_type": "python" if problem.stiff else "pbjacobi",
+        **coarse,
+    }
     if kind == "additive":
         return levels | {"mg_levels_ksp_type": "preonly"}
     return levels | {"mg_levels_ksp_type": "chebyshev", "mg_levels_ksp_max_it": 1, "mg_levels_esteig_ksp_max_it": 8}

@@ -8,8 +8,11 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.near_inverse import Entries
 from pdpetsc.kernels.point_blocks import definite
+from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
+from pdpetsc.petsc.scalar import assembled
 from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
@@ -56,15 +59,16 @@ class TwoLevel(Preconditioning):
         row_ptr, columns = grid.rows
         self._rows = row_ptr.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         self.coarse.setPreallocationCSR(self._rows)
-        for mat in (self.mat, self.coarse) if problem.symmetric else ():
-            mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        for mat in (self.mat, self.coarse):
+            self._set_symmetric(mat)
         _attach_modes(self.coarse, grid.rigid_modes())
         fine = (problem.body.cloud.n_rows * dim, self.mat.getSize()[0])
         self._interpolation = PETSc.Mat().createPython(
             (fine, size), context=_Interpolation(grid, self.coarse), comm=comm
         )
         self._interpolation.setUp()
+        self._interface = Interface(grid, ~fixed) if problem.stiff else None
+        self._nodes: PETSc.KSP | None = None
 
     def fill(self, state: State) -> Tangent:
         """Fill the diagonal blocks and the matrix of the nodes, without constraints; return the tangent."""
@@ -76,23 +80,57 @@ class TwoLevel(Preconditioning):
         diagonal = np.einsum("pii->pi", blocks).copy()
         self.diagonal = diagonal.ravel()
         values = self._grid.fill(tangent.stiffness(), tangent.blocks, diagonal, self._scale)
-        self.coarse.setValuesCSR(*self._rows, values)
-        self.coarse.assemble()
-        self.coarse.stateIncrease()
+        if self._interface is None:
+            self.coarse.setValuesCSR(*self._rows, values)
+            self.coarse.assemble()
+            self.coarse.stateIncrease()
+        else:
+            rest = self._interface.take(tangent, self._scale)
+            self._take_nodes(values)
+            without = blocks.copy()
+            without[: cloud.n_owned] = rest.point_blocks()
+            self._interface.factor(self._definite(without))
         del values
-        blocks /= self._scale
-        free = ~self._fixed
-        blocks *= free[:, :, None] & free[:, None, :]
-        i = np.arange(dim)
-        blocks[:, i, i] += self._fixed
-        mean = float(total(cloud.comm, float(np.abs(diagonal).sum()))) / (self.mat.getSize()[0] * self._scale)
-        definite(blocks, LEAST * mean)
+        blocks = self._definite(blocks)
         first = self.mat.getOwnershipRange()[0] // dim
         ptr = np.arange(len(blocks) + 1, dtype=PETSc.IntType)
         self.mat.setValuesBlockedCSR(ptr, ptr[:-1] + first, blocks)
         self.mat.assemble()
         self.mat.stateIncrease()
         return whole
+
+    def _definite(self, blocks: Float) -> Float:
+        """Return diagonal blocks over the scale, positive definite, with 1 for prescribed unknowns (collective)."""
+        comm, dim = self._problem.body.cloud.comm, self._problem.dim
+        size = float(total(comm, float(np.abs(np.einsum("pii->pi", blocks)).sum())))
+        blocks = blocks / self._scale
+        free = ~self._fixed
+        blocks *= free[:, :, None] & free[:, None, :]
+        i = np.arange(dim)
+        blocks[:, i, i] += self._fixed
+        definite(blocks, LEAST * size / (self.mat.getSize()[0] * self._scale))
+        return blocks
+
+    def _set_symmetric(self, mat: PETSc.Mat) -> None:
+        if self._problem.symmetric:
+            mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+
+    def _take_nodes(self, values: Float) -> None:
+        """Build the matrix of the nodes from the values of the grid and the springs between facets (collective)."""
+        assert self._interface is not None
+        sizes = self.coarse.getSizes()[0]
+        ptr, columns = self._rows
+        rows = self._grid.first * self._problem.dim + np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+        parts = zip(Entries(rows, columns.astype(np.int64), values), self._interface.on_nodes, strict=True)
+        coarse = assembled(self.coarse.comm.tompi4py(), sizes, Entries(*(np.concatenate(part) for part in parts)), 0.0)
+        coarse.setBlockSize(self._problem.dim)
+        self.coarse.destroy()
+        self.coarse = coarse
+        self._set_symmetric(coarse)
+        _attach_modes(coarse, self._grid.rigid_modes())
+        if self._nodes is not None:
+            self._nodes.setOperators(coarse, coarse)
 
     def renewed(self) -> Preconditioning:
         """Build a new preconditioner for the current fragments."""
@@ -128,6 +166,9 @@ class TwoLevel(Preconditioning):
             )
         nodes.setFromOptions()
         smoother.setFromOptions()
+        self._nodes = nodes
+        if self._interface is not None and smoother.getPC().getType() == "python":
+            smoother.getPC().setPythonContext(self._interface)
         self.bounded = smoother.getType() in BOUNDED
 
     @property
@@ -139,6 +180,9 @@ class TwoLevel(Preconditioning):
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self._interpolation.destroy()
+        self._nodes = None
+        if self._interface is not None:
+            self._interface.destroy()
         self.coarse.destroy()
         self.mat.destroy()
 

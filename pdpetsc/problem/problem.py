@@ -125,6 +125,11 @@ class Problem:
         return any(field.monolithic for field in self.fields)
 
     @property
+    def stiff(self) -> bool:
+        """Return True if a tangent has springs that are many times stiffer than the body (not collective)."""
+        return any(term.stiff for term in self.terms)
+
+    @property
     def constrained(self) -> bool:
         """Return True if the tangent has a stiff low-rank part, see ``Product.constraint`` (not collective)."""
         return any(term.constrained for term in self.terms)

@@ -82,6 +82,8 @@ class Term(ABC):
         Whether the forces do work on the body that is not a change of the energy of the term, as those of moving tools.
     constrained : bool
         Whether the tangents have a ``Product.constraint``.
+    stiff : bool
+        Whether the tangents may have a ``Product.stiff``.
     pattern : int
         Increases if ``stencils`` change.
     version : int
@@ -102,6 +104,7 @@ class Term(ABC):
     energy_of: str = "extra"
     works: bool = False
     constrained: bool = False
+    stiff: bool = False
     pattern: int = 0
     version: int = 0
 

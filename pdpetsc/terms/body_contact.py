@@ -11,7 +11,7 @@ from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.discrete.communicator import all_largest, largest, smallest, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import Product, RankOneProduct
+from pdpetsc.gradient.products import FacetProduct, Product
 from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
@@ -202,7 +202,7 @@ class BodyContactForces(FacetContact):
             self._product(StencilMembers(owner[first], of_parts, ends.members), [h], [-self._c * ends.rates(by_mean)]),
         ]
 
-    def _product(self, stencils: StencilMembers, hs: list[Float], gs: list[Float]) -> RankOneProduct:
+    def _product(self, stencils: StencilMembers, hs: list[Float], gs: list[Float]) -> FacetProduct:
         """Return ``-sum h (x) g`` over vectors (n_entries, dim) of stencils."""
         # One stencil for each product of two vectors.
         ptr, n, count = stencils.point_ptr, len(stencils.owner), len(hs)
@@ -210,7 +210,7 @@ class BodyContactForces(FacetContact):
         which = np.repeat(np.tile(np.arange(count), n), np.repeat(np.diff(ptr), count))
         members = StencilMembers(np.repeat(stencils.owner, count), repeated, stencils.members[entry])
         h, g = (np.ascontiguousarray(np.stack(vectors)[which, entry]) for vectors in (hs, gs))
-        return RankOneProduct(members, self.body.cloud.n_owned, h, g, np.full(n * count, -1.0))
+        return FacetProduct(members, self.body.cloud.n_owned, h, g, np.full(n * count, -1.0))
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return blocks of all facets of both parts as if each was pressed and stuck.

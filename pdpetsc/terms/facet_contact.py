@@ -12,7 +12,8 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import RankOneProduct
+from pdpetsc.gradient.products import FacetProduct
+from pdpetsc.kernels.rank_one import facet_times_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -51,7 +52,7 @@ class Touching(NamedTuple):
     by_slip: Float
 
 
-class ContactProduct(RankOneProduct):
+class ContactProduct(FacetProduct):
     """Couple the particles around each point of contact by ``sum_p w_p (x) w_p B_p``.
 
     Parameters
@@ -73,17 +74,12 @@ class ContactProduct(RankOneProduct):
         h = N[entry, None] * blocks[of, :, column]
         g = N[entry, None] * np.eye(dim)[column]
         super().__init__(members, n_owned, h, g, np.ones(n * dim))
-        self._facets, self._N, self._blocks = facets, N, blocks
-        self._of = np.repeat(np.arange(n), np.diff(facets.point_ptr))
+        self._first_facet = np.searchsorted(facets.owner, np.arange(n_owned + 1))
+        self._facets = facets.point_ptr, facets.members, N, np.ascontiguousarray(blocks)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the points of the particles; unlike a gradient, they may resist translations."""
-        here = np.isin(self._facets.owner, particles)
-        members, N = self._facets.members, self._N
-        at = N[:, None] * du[members]
-        moved = np.stack([np.bincount(self._of, along, len(here)) for along in at.T], axis=1)
-        force = np.where(here[:, None], np.einsum("fij,fj->fi", self._blocks, moved), 0.0)
-        np.add.at(f, members, N[:, None] * force[self._of])
+        facet_times_kernel(du.shape[1])(particles, self._first_facet, *self._facets, du, f)
 
 
 class Points(NamedTuple):
@@ -161,6 +157,7 @@ class FacetContact(Term):
     """
 
     linear = False
+    stiff = True
     energy_of = "contact"
     horizons = 2
 

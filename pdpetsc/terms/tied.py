@@ -42,6 +42,7 @@ class TiedForces(Term):
     """
 
     energy_of = "tie"
+    stiff = True
     horizons = 2
 
     def __init__(

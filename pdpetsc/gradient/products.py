@@ -12,11 +12,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, entries_of
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.kernels.assembly import assemble_kernel
-from pdpetsc.kernels.rank_one import rank_one_blocks_kernel, rank_one_rows_kernel, rank_one_times_kernel
+from pdpetsc.kernels.rank_one import (
+    facet_times_kernel,
+    rank_one_blocks_kernel,
+    rank_one_rows_kernel,
+    rank_one_times_kernel,
+)
 from pdpetsc.kernels.rows import RowLayout
 
 # Adds the forces of the stencils of selected own particles for a displacement, both with ghosts (n_local, dim).
@@ -120,7 +125,7 @@ class Product:
         """Return the product if its stiffness makes it nearly a constraint, else None (not collective)."""
         return None
 
-    def stiff(self) -> RankOneProduct | None:
+    def stiff(self) -> FacetSprings | None:
         """Return the product if its springs are many times stiffer than the body, else None (not collective)."""
         return None
 
@@ -255,10 +260,53 @@ class RankOneProduct(Product):
         return True
 
 
-class FacetProduct(RankOneProduct):
-    """Springs between the particles of facets that touch or are tied, many times stiffer than the body."""
+class FacetProduct(Product):
+    """``sum_s sum_a h_sa (x) g_sa``: forces between the particles of facets.
 
-    def stiff(self) -> FacetProduct:
+    Parameters
+    ----------
+    stencils : StencilMembers
+        The particles that each pair of facets, or facet and tool, moves with.
+    n_owned : int
+        Number of own particles.
+    h, g : (n_entries, r, dim) float64
+        Vectors of the members. ``h g`` is a force per length.
+    """
+
+    def __init__(self, stencils: StencilMembers, n_owned: int, h: Float, g: Float) -> None:
+        self._stencils, self._n_owned, self._h, self._g = stencils, n_owned, h, g
+        self._first = np.searchsorted(stencils.owner, np.arange(n_owned + 1))
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add ``sum_a h_sa (g_sa . du)`` of the stencils of the particles; the forces may resist translations."""
+        of = self._stencils
+        kernel = facet_times_kernel(du.shape[1], self._h.shape[1])
+        kernel(particles, self._first, of.point_ptr, of.members, self._h, self._g, du, f)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add ``sum_a h_sa (x) g_sa``."""
+        self.one_by_one().add_rows(entries)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_a h_sak (x) g_sak`` of every member ``k``."""
+        for a in range(self._h.shape[1]):
+            one = self._stencils.point_ptr, self._stencils.members, self._h[:, a], self._g[:, a]
+            rank_one_blocks_kernel(blocks.shape[-1])(*map(np.ascontiguousarray, one), np.ones(len(one[0]) - 1), blocks)
+        return True
+
+    def one_by_one(self) -> RankOneProduct:
+        """Return the same product with a stencil for each ``a``."""
+        of, r, n = self._stencils, self._h.shape[1], len(self._stencils.owner)
+        entry, ptr = entries_of(of.point_ptr, np.repeat(np.arange(n), r))
+        which = np.repeat(np.tile(np.arange(r), n), np.diff(ptr))
+        stencils = StencilMembers(np.repeat(of.owner, r), ptr, of.members[entry])
+        return RankOneProduct(stencils, self._n_owned, self._h[entry, which], self._g[entry, which], np.ones(n * r))
+
+
+class FacetSprings(FacetProduct):
+    """Springs between the particles of facets, many times stiffer than the body."""
+
+    def stiff(self) -> FacetSprings:
         """Return itself."""
         return self
 

@@ -47,31 +47,33 @@ def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def facet_times_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``times(particles, first, ptr, members, N, blocks, u, f)``: adds ``N_k B_s (sum_l N_l u_l)`` to ``k``.
+def facet_times_kernel(dim: int, rank: int) -> Callable[..., Any]:
+    """Return ``times(particles, first, ptr, members, h, g, u, f)``: adds ``sum_a h_ka (sum_l g_la . u_l)`` to ``k``.
 
-    The facets of own particle ``i`` are ``first[i]`` to ``first[i + 1]``; only those of ``particles`` are added.
+    The vectors are (n_entries, rank, dim), and those of a stencil need not sum to zero. The stencils of own particle
+    ``i`` are ``first[i]`` to ``first[i + 1]``; only those of ``particles`` are added.
     """
 
     @compiled
-    def times(particles, first, ptr, members, N, blocks, u, f):  # type: ignore[no-untyped-def]
-        moved = np.empty(dim)
-        force = np.empty(dim)
+    def times(particles, first, ptr, members, h, g, u, f):  # type: ignore[no-untyped-def]
+        rate = np.empty(rank)
         for q in range(particles.size):
             i = particles[q]
             for s in range(first[i], first[i + 1]):
-                for m in range(dim):
-                    moved[m] = 0.0
+                for a in range(rank):
+                    rate[a] = 0.0
                 for t in range(ptr[s], ptr[s + 1]):
-                    for m in range(dim):
-                        moved[m] += N[t] * u[members[t], m]
-                for m in range(dim):
-                    force[m] = 0.0
-                    for n in range(dim):
-                        force[m] += blocks[s, m, n] * moved[n]
+                    k = members[t]
+                    for a in range(rank):
+                        for m in range(dim):
+                            rate[a] += g[t, a, m] * u[k, m]
                 for t in range(ptr[s], ptr[s + 1]):
+                    k = members[t]
                     for m in range(dim):
-                        f[members[t], m] += N[t] * force[m]
+                        force = 0.0
+                        for a in range(rank):
+                            force += h[t, a, m] * rate[a]
+                        f[k, m] += force
 
     return times
 

@@ -62,7 +62,7 @@ class Interface:
         for product in stiff:
             if product is None:
                 continue
-            ptr, members, h, g, b = product.data
+            ptr, members, h, g, b = product.one_by_one().data
             at = (members[:, None].astype(np.int64) * dim + np.arange(dim)).ravel()
             H, G = (
                 scipy.sparse.csr_matrix(((v * turned[members]).ravel(), at, ptr * dim), shape=(len(b), size))
@@ -97,7 +97,7 @@ class Interface:
         rows, columns = (np.searchsorted(known, at // dim) * dim + at % dim for at in (self._S.row, self._S.col))
         S = scipy.sparse.csr_matrix((self._S.data, (rows, columns)), shape=(len(known) * dim,) * 2)
         used, place = np.unique(nodes[known], return_inverse=True)
-        at = place.reshape(len(known), -1)[:, None, :] * dim + np.arange(dim)[None, :, None]
+        at = place.reshape(len(known), corners.shape[1])[:, None, :] * dim + np.arange(dim)[None, :, None]
         values = weights[known].transpose(0, 2, 1)
         ptr = np.arange(len(known) * dim + 1) * corners.shape[1]
         P = scipy.sparse.csr_matrix((values.ravel(), at.ravel(), ptr), shape=(len(known) * dim, len(used) * dim))

@@ -11,7 +11,7 @@ from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.discrete.communicator import all_largest, largest, smallest, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import FacetProduct, Product
+from pdpetsc.gradient.products import FacetProduct, FacetSprings, Product
 from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
@@ -182,35 +182,29 @@ class BodyContactForces(FacetContact):
             moved = slopes[pairs.rows] @ by_points[0] - other_slopes[pairs.other_rows] @ by_points[1]
             rates = rates + touching.by_slip @ moved
         by_corners = np.asarray(area * rates + t[:, :, None] * J[:, AREA, None])
-        ends, owner = self._ends(pairs), search.one.owner[pairs.rows]
-        force, of_slip = pairs.area[:, None] * t, area * touching.by_slip
-        hs = [ends.weights[:, None] * axis for axis in np.eye(dim)]
-        gs = [ends.rates(by_corners[:, i]) + ends.weights[:, None] * of_slip[ends.of, i] for i in range(dim)]
-        # The weights depend on the points.
-        for side, by_point in enumerate(by_points):
-            hs += [ends.G[:, side, axis, None] * force[ends.of] for axis in range(dim)]
-            gs += [ends.rates(by_point[:, axis]) for axis in range(dim)]
+        ends, owner, n = self._ends(pairs), search.one.owner[pairs.rows], self.body.cloud.n_owned
         # The pressure of all pairs of a part depends on their mean gap.
         part, first, number = np.unique(self._multiplier(pairs), return_index=True, return_inverse=True)
         whole = np.bincount(number, pairs.area, len(part))[number]
         off = pairs.gap - self._felt(state)[touching.rows]
         by_mean = (pairs.area / whole)[:, None] * J[:, GAP] + (off / whole)[:, None] * J[:, AREA]
-        h = ends.weights[:, None] * (pairs.area[:, None] * touching.by_pressure)[ends.of]
-        of_parts = ends.ptr[np.append(first, len(owner))]
-        return [
-            self._product(StencilMembers(owner, ends.ptr, ends.members), hs, gs),
-            self._product(StencilMembers(owner[first], of_parts, ends.members), [h], [-self._c * ends.rates(by_mean)]),
+        g = ends.rates(np.concatenate([by_corners, *by_points, by_mean[:, None]], axis=1))
+        # The weights depend on the points.
+        force, h = (pairs.area[:, None] * t)[ends.of], np.zeros((len(ends.members), 3 * dim, dim))
+        for axis in range(dim):
+            h[:, axis, axis] = -ends.weights
+            for side in range(2):
+                h[:, (side + 1) * dim + axis] = -ends.G[:, side, axis, None] * force
+        pressed = ends.weights[:, None] * (pairs.area[:, None] * touching.by_pressure)[ends.of]
+        stencils = StencilMembers(owner, ends.ptr, ends.members)
+        parts = StencilMembers(owner[first], ends.ptr[np.append(first, len(owner))], ends.members)
+        found: list[Product] = [
+            FacetProduct(stencils, n, h, g[:, :-1]),
+            FacetSprings(parts, n, pressed[:, None], self._c * g[:, -1:]),
         ]
-
-    def _product(self, stencils: StencilMembers, hs: list[Float], gs: list[Float]) -> FacetProduct:
-        """Return ``-sum h (x) g`` over vectors (n_entries, dim) of stencils."""
-        # One stencil for each product of two vectors.
-        ptr, n, count = stencils.point_ptr, len(stencils.owner), len(hs)
-        entry, repeated = entries_of(ptr, np.repeat(np.arange(n), count))
-        which = np.repeat(np.tile(np.arange(count), n), np.repeat(np.diff(ptr), count))
-        members = StencilMembers(np.repeat(stencils.owner, count), repeated, stencils.members[entry])
-        h, g = (np.ascontiguousarray(np.stack(vectors)[which, entry]) for vectors in (hs, gs))
-        return FacetProduct(members, self.body.cloud.n_owned, h, g, np.full(n * count, -1.0))
+        if self._mu > 0.0:
+            found.append(ContactProduct(stencils, n, ends.weights, -area * touching.by_slip))
+        return found
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return blocks of all facets of both parts as if each was pressed and stuck.

@@ -12,12 +12,10 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import FacetProduct
-from pdpetsc.kernels.rank_one import facet_times_kernel
+from pdpetsc.gradient.products import FacetSprings
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
-from pdpetsc.terms.chosen_facets import by_component
 
 # Pressure over penetration of the default stiffness, in moduli over the spacing [-]. With ten times of it a tool that
 # moves by a spacing a step, with friction, needs four times as many load steps.
@@ -52,7 +50,7 @@ class Touching(NamedTuple):
     by_slip: Float
 
 
-class ContactProduct(FacetProduct):
+class ContactProduct(FacetSprings):
     """Couple the particles around each point of contact by ``sum_p w_p (x) w_p B_p``.
 
     Parameters
@@ -68,18 +66,9 @@ class ContactProduct(FacetProduct):
     """
 
     def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
-        n, dim = blocks.shape[:2]
-        # One stencil for each component of the displacement of a facet.
-        members, entry, of, column = by_component(facets, dim)
-        h = N[entry, None] * blocks[of, :, column]
-        g = N[entry, None] * np.eye(dim)[column]
-        super().__init__(members, n_owned, h, g, np.ones(n * dim))
-        self._first_facet = np.searchsorted(facets.owner, np.arange(n_owned + 1))
-        self._facets = facets.point_ptr, facets.members, N, np.ascontiguousarray(blocks)
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the points of the particles; unlike a gradient, they may resist translations."""
-        facet_times_kernel(du.shape[1])(particles, self._first_facet, *self._facets, du, f)
+        of = np.repeat(np.arange(len(blocks)), np.diff(facets.point_ptr))
+        h = N[:, None, None] * blocks.transpose(0, 2, 1)[of]
+        super().__init__(facets, n_owned, h, N[:, None, None] * np.eye(blocks.shape[1]))
 
 
 class Points(NamedTuple):

@@ -14,7 +14,17 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, exchange, largest, total
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES, overlap, overlap_by_corners
+from pdpetsc.kernels.overlap import (
+    AREA,
+    GAP,
+    NORMAL,
+    ONE,
+    OTHER,
+    QUANTITIES,
+    overlap,
+    overlap_by_corners,
+    rates_of_members,
+)
 from pdpetsc.problem.body import Body
 
 # Facets face each other if the cosine of the angle between one normal and minus the other exceeds this.
@@ -161,10 +171,13 @@ class Ends(NamedTuple):
     corners: Float
 
     def rates(self, by_corners: Float) -> Float:
-        """Return derivatives by the displacements of the particles (n_entries, dim) from those by all corners."""
-        n, (facets, k) = len(self.ptr) - 1, self.corners.shape[1:]
-        dim = self.G.shape[2]
-        return np.asarray(np.einsum("esc,escj->ej", self.corners, by_corners.reshape(n, facets, k, dim)[self.of]))
+        """Return derivatives by the displacements of the particles (n_entries, r, dim) from those by all corners.
+
+        ``by_corners`` are (n, r, n_corners * dim) for r quantities of each pair.
+        """
+        found = np.empty((len(self.of), by_corners.shape[1], self.G.shape[2]))
+        rates_of_members(self.of, self.corners, np.ascontiguousarray(by_corners), found)
+        return found
 
 
 def both_ends(one: Ends, other: Ends) -> Ends:

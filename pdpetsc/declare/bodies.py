@@ -126,7 +126,9 @@ class Bodies(Particles):
 
     def cells(self) -> Cells:
         """Return the cells of all bodies."""
-        found, first = [one.cells().own for one in self.parts.values()], self._firsts()
+        found, first = [one.cells() for one in self.parts.values()], self._firsts()
+        at_corners = all(one.particle is None for one in found)
+        found = found if at_corners else [one.own for one in found]
         points = np.cumsum([0, *(len(one.points) for one in found)]).tolist()
         corners = np.cumsum([0, *(len(one.corners) for one in found)]).tolist()
 
@@ -137,7 +139,7 @@ class Bodies(Particles):
             np.concatenate([one.points for one in found]),
             joined(lambda one: one.corners, points),
             np.append(joined(lambda one: one.offsets[:-1], corners), corners[-1]),
-            joined(lambda one: one.owner, first),
+            None if at_corners else joined(lambda one: one.owner, first),
         )
 
     def _firsts(self) -> list[int]:

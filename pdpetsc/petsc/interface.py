@@ -107,7 +107,7 @@ class Interface:
         )
 
     def factor(self, blocks: Float) -> None:
-        """Factor ``D + S`` of the particles on facets, from the blocks D of all own particles (n, dim, dim)."""
+        """Factor ``D + S`` of the particles on facets, from the blocks D of all own particles (n_rows, dim, dim)."""
         dim, S, comm = self._dim, self._S, self._body.cloud.comm
         own = self._number[self._particles]
         axis = np.arange(dim)
@@ -118,8 +118,12 @@ class Interface:
             np.concatenate([S.data, blocks[self._particles].ravel()]),
         )
         size = len(own) * dim
-        matrix = assembled(comm, (size, int(total(comm, size))), entries, 0.0)
+        count = int(total(comm, size))
         self.destroy()
+        self._inverse = np.linalg.inv(blocks)
+        if count == 0:
+            return
+        matrix = assembled(comm, (size, count), entries, 0.0)
         self._pc = PETSc.PC().create(comm=comm)
         self._pc.setOptionsPrefix("interface_")
         self._pc.setOperators(matrix)
@@ -129,16 +133,15 @@ class Interface:
         self._pc.setUp()
         self._b, self._x = matrix.createVecs()
         matrix.destroy()
-        self._inverse = np.linalg.inv(blocks)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve with ``D + S``; called by PETSc."""
         values = x.array_r.reshape(-1, self._dim)
         found = np.einsum("pij,pj->pi", self._inverse, values)
-        assert self._pc is not None
-        self._b.setArray(values[self._particles].ravel())
-        self._pc.apply(self._b, self._x)
-        found[self._particles] = self._x.array_r.reshape(-1, self._dim)
+        if self._pc is not None:
+            self._b.setArray(values[self._particles].ravel())
+            self._pc.apply(self._b, self._x)
+            found[self._particles] = self._x.array_r.reshape(-1, self._dim)
         y.setArray(found.ravel())
 
     def destroy(self, pc: PETSc.PC | None = None) -> None:

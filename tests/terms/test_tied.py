@@ -91,6 +91,40 @@ def test_a_cantilever_of_two_lattices_bends_as_one(tmp_path):
         assert other == pytest.approx(one, rel=1e-6), name
 
 
+def pressed(joint, gap=0.0):
+    """Return two solid blocks that are joined, or one block, whose top is pressed down."""
+    particles, sides, more = pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1.0 / 8), ("-z", "+z"), []
+    if joint is not None:
+        blocks = {
+            "lower": pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 0.5), 1.0 / 8),
+            "upper": pd.LatticeNodes((0.0, 0.0, 0.5 + gap), (1.0, 1.0, 1.0 + gap), 1.0 / 10),
+        }
+        particles, sides, more = pd.Bodies(blocks), ("lower -z", "upper +z"), [joint]
+    ends = [pd.Displacement(side, x=0.0, y=0.0, z=z) for side, z in zip(sides, (0.0, -0.01 - gap), strict=True)]
+    return pd.Case(particles=particles, material=pd.LinearElastic(1.0, 0.3), conditions=[*ends, *more])
+
+
+JOINTS = {
+    "tied": (pd.Tied("lower +z", "upper -z"), 0.0, 1.2),
+    "contact": (pd.BodyContact("lower +z", "upper -z"), 0.0, 1.5),
+    "friction": (pd.BodyContact("lower +z", "upper -z", friction=0.3), 0.0, 1.5),
+    # The bodies meet during the step, in more Newton iterations.
+    "gap": (pd.BodyContact("lower +z", "upper -z"), 0.005, 2.0),
+}
+
+
+def test_stiff_springs_cost_no_iterations_without_a_matrix(tmp_path):
+    """A tie is a thousand times, and contact ten times, as stiff as the body between two particles."""
+
+    def iterations(name, joint, gap):
+        result = pd.run(pressed(joint, gap), tmp_path / name, options={"pd_jacobian": "matfree"})
+        return sum(step["linear_iterations"] for step in result.summary["steps"])
+
+    whole = iterations("one", None, 0.0)
+    for name, (joint, gap, most) in JOINTS.items():
+        assert iterations(name, joint, gap) < most * whole, name
+
+
 def test_what_cannot_be_tied_is_refused():
     apart = stacked()
     parts = apart.particles.parts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -15,13 +15,11 @@ from pdpetsc.discrete.background_grid import BackgroundGrid
 from pdpetsc.discrete.communicator import exchange, largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.halo import Halo
+from pdpetsc.gradient.conforming_system import ConformingSystem
 from pdpetsc.kernels.background import sum_in_elements
 from pdpetsc.kernels.conforming import linear_moments_kernel
 from pdpetsc.kernels.near import reach_kernel
 from pdpetsc.kernels.sparsity import nearest_neighbours
-
-if TYPE_CHECKING:
-    from pdpetsc.gradient.conforming import ConformingSystem
 
 # Near members are at most this many times as far away as the 2 dim-th nearest member. On lattices this includes the
 # diagonals.

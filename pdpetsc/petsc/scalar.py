@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import Comm, exchange, offset, total
-from pdpetsc.gradient.conforming import ConformingSystem
+from pdpetsc.gradient.conforming_system import ConformingSystem
 from pdpetsc.gradient.near_inverse import Entries, NearInverse
 from pdpetsc.petsc.options import Options
 

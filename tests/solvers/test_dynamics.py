@@ -188,7 +188,7 @@ def case(explicit=True, dim=2):
 """
 
 
-@pytest.mark.parametrize("explicit", ["yes", "no"])
+@pytest.mark.parametrize("explicit", ["yes", pytest.param("no", marks=pytest.mark.long)])
 def test_ranks_and_matrix_free_steps_move_alike(explicit, tmp_path):
     path = tmp_path / "case.py"
     path.write_text(SPINNING)
@@ -323,7 +323,7 @@ def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
 
 
 @pytest.mark.parametrize("explicit", [True, False])
-@pytest.mark.parametrize("dim", [1, 2])
+@pytest.mark.parametrize("dim", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_wave_leaves_through_an_absorbing_boundary(explicit, dim, tmp_path):
     """A smooth pulse runs to the right; of its energy less than one in a thousand comes back."""
     n, high = 80, (1.0, 0.1)[:dim]
@@ -376,7 +376,7 @@ def test_a_body_without_supports_has_no_equilibrium_to_start_from(tmp_path):
 
 
 @pytest.mark.parametrize("solver", [pd.Explicit(end=1.2, safety=0.3), pd.Implicit(dt=0.003, end=1.2)])
-@pytest.mark.parametrize("penetration", [0.02, 0.1])
+@pytest.mark.parametrize("penetration", [0.02, pytest.param(0.1, marks=pytest.mark.long)])
 def test_a_tool_at_rest_gives_no_energy(solver, penetration, tmp_path):
     """A block that hits a plane without friction leaves it no faster than it came, or the run says why not."""
     case = pd.Case(
@@ -428,7 +428,7 @@ def case(explicit=True):
 """
 
 
-@pytest.mark.parametrize("explicit", ["yes", "no"])
+@pytest.mark.parametrize("explicit", ["yes", pytest.param("no", marks=pytest.mark.long)])
 def test_supports_and_failing_bonds_on_other_ranks(explicit, tmp_path):
     """Supports are on the first rank alone, bonds break on the last."""
     path = tmp_path / "case.py"

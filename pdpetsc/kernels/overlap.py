@@ -8,8 +8,9 @@ from pdpetsc.kernels.compile import compiled
 
 # Corners of the overlap of two convex quadrilaterals, at most.
 MOST = 8
-# Edges and areas below this share of those of a facet are none.
-NONE = 1e-12
+# Edges and areas below this share of those of a facet are none. Corners this near to an edge are on it: round-off would
+# place edges that coincide on either side, with a derivative without bound.
+NONE = 1e-9
 # Step of complex differences over the size of a facet: its square vanishes beside 1.
 STEP = 1e-30
 # Quantities of a pair: area, gap, normal (3), and the point on both facets (3 each).
@@ -106,6 +107,7 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):  # type: ignore[no-
         dk, d1, d2 = other[c, k] - ca[k], other[c, m1] - ca[m1], other[c, m2] - ca[m2]
         edge[c, 0], edge[c, 1] = ek * dk + e1 * d1, fk * dk + f1 * d1 + f2 * d2
     count = 4
+    near = NONE * max(sa.real, sb.real)
     least = NONE * np.sqrt(max(sa.real, sb.real))
     for c in range(4):
         x0, y0 = edge[c, 0], edge[c, 1]
@@ -117,10 +119,10 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):  # type: ignore[no-
             t = (s + 1) % count
             left = dx * (p[s, 1] - y0) - dy * (p[s, 0] - x0)
             after = dx * (p[t, 1] - y0) - dy * (p[t, 0] - x0)
-            if left.real >= 0.0 and kept < MOST + 1:
+            if left.real >= -near and kept < MOST + 1:
                 r[kept, 0], r[kept, 1] = p[s, 0], p[s, 1]
                 kept += 1
-            if (left.real >= 0.0) != (after.real >= 0.0) and kept < MOST + 1:
+            if min(left.real, after.real) < -near and max(left.real, after.real) > near and kept < MOST + 1:
                 share = left / (left - after)
                 r[kept, 0] = p[s, 0] + share * (p[t, 0] - p[s, 0])
                 r[kept, 1] = p[s, 1] + share * (p[t, 1] - p[s, 1])

@@ -59,30 +59,51 @@ class ConformingSystem:
         # The linear fit is exact at a point that has no more members than a linear function has coefficients.
         self._inverse = np.linalg.pinv(M, hermitian=True)
 
-    @property
-    def null_functions(self) -> list[Float]:
-        """Return the functions (n_owned, dim) of one component that are linear on a piece and on its images.
+    def without_null_functions(self, values: Float) -> Float:
+        """Return values of the own particles (n_owned, dim) without their part in the null space."""
+        found, comm = values.copy(), self.cloud.comm
+        for component, Q in enumerate(self._null_functions):
+            found[:, component] -= Q @ total(comm, Q.T @ values[:, component])
+        return found
 
-        If there are many pieces, return those of the whole body only.
+    @cached_property
+    def _null_functions(self) -> list[Float]:
+        """Return for each component an orthonormal basis (n_owned, k) of functions in the null space.
+
+        They are linear on a piece of the body and on its images. If there are many pieces, they are those of the whole
+        body only.
         """
-        cloud = self.cloud
-        labels = np.unique(np.concatenate(cloud.comm.allgather(np.unique(self._pieces))))
+        cloud, comm, dim = self.cloud, self.cloud.comm, self.cloud.dim
+        labels = np.unique(np.concatenate(comm.allgather(np.unique(self._pieces))))
         masks = [self._pieces == label for label in labels] if len(labels) <= PIECES else [np.ones(cloud.n_owned)]
         x = cloud.x[: cloud.n_owned]
         # Even or odd about every mirror plane, and scaled for bodies far from the origin.
         middle = self._middle
         for axis, at in cloud.places.planes.items():
             middle[axis] = at
-        found = []
-        for mask in masks:
-            for function in (np.ones(len(x)), *((x - middle) / cloud.horizon).T):
-                v = np.repeat((function * mask)[:, None], cloud.dim, axis=1)
-                size = largest(cloud.comm, float(np.abs(v).max(initial=0.0)))
-                for component, left in enumerate(np.abs(self.product(v)).max(axis=0, initial=0.0)):
-                    # The product is not zero for a function that is not linear on the images.
-                    if largest(cloud.comm, float(left)) <= LINEAR * size * self._scale:
-                        found.append(v * (np.arange(cloud.dim) == component))
-        return found
+        functions = [
+            function * mask for mask in masks for function in (np.ones(len(x)), *((x - middle) / cloud.horizon).T)
+        ]
+        found: list[list[Float]] = [[] for _ in range(dim)]
+        for v in functions:
+            size = largest(comm, float(np.abs(v).max(initial=0.0)))
+            off = np.abs(self.product(np.repeat(v[:, None], dim, axis=1))).max(axis=0, initial=0.0)
+            for component, left in enumerate(off):
+                # The product is not zero for a function that is not linear on the images.
+                if largest(comm, float(left)) <= LINEAR * size * self._scale:
+                    found[component].append(v)
+        if not len(cloud.sign):  # all components are alike
+            return [self._orthonormal(found[0])] * dim
+        return [self._orthonormal(some) for some in found]
+
+    def _orthonormal(self, functions: list[Float]) -> Float:
+        """Return an orthonormal basis (n_owned, k) of functions (n_owned,)."""
+        Q = np.stack(functions, axis=1) if functions else np.empty((self.cloud.n_owned, 0))
+        for _ in range(2):  # twice: the first basis is orthonormal but for round-off
+            squares, axes = np.linalg.eigh(total(self.cloud.comm, Q.T @ Q))
+            kept = squares > 1e-14 * squares.max(initial=0.0)
+            Q = Q @ (axes[:, kept] / np.sqrt(squares[kept]))
+        return np.asarray(Q)
 
     @cached_property
     def diagonal(self) -> Float:

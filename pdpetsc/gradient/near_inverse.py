@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.discrete.background_grid import BackgroundGrid
+from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid
 from pdpetsc.discrete.communicator import exchange, largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.halo import Halo
@@ -28,8 +28,6 @@ NEAR = 1.6
 FEW = {1: 10.0, 2: 14.0, 3: 12.0}
 # Least mean number of members of points for a grid, and largest ratio of horizons.
 ENOUGH, UNIFORM = 6.5, 1.5
-# Least width of the cells of a grid over the distance of neighbours.
-LEAST_WIDTH = 2.0
 # Largest number of iterations with a grid and with nearest neighbours. A system that needs more of the latter has
 # almost nothing to solve.
 MOST_ON_GRID, MOST = 200, 2000
@@ -113,7 +111,7 @@ class OfNearest(NearInverse):
         dim, n, operator = cloud.dim, cloud.n_owned, system.operator
         self.x, self.inverse_diagonal = cloud.x[:n], np.zeros((n, 1))
         if system.mean_members <= FEW[dim]:
-            found = self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
+            found = self._of_points(operator.owner, operator.point_ptr, operator.members, operator.volume)
         else:
             reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
             reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
@@ -121,7 +119,7 @@ class OfNearest(NearInverse):
             counts = np.bincount(families.centres[near], minlength=n)
             ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
             members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
-            found = self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
+            found = self._of_points(np.arange(n), ptr, members, cloud.volume[:n])
         rows, columns = cloud.row[found.row], cloud.row[found.col]
         self.matrices = [Entries(rows, columns, found.data)]
         if len(cloud.sign):
@@ -138,7 +136,7 @@ class OfNearest(NearInverse):
         """Return the values."""
         return values
 
-    def _matrix(
+    def _of_points(
         self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float
     ) -> scipy.sparse.coo_matrix:
         """Return ``C (I - Phi M^-1 Phi^T) C^T`` for points with these owners, members and volumes."""
@@ -247,7 +245,7 @@ class OnGrid(NearInverse):
         holds = np.zeros((len(known), dim), dtype=bool)
         holds[own], holds[other] = grid.held[self._order[:n]], found[:, 3:] >> np.arange(dim) & 1
         middle = scipy.sparse.csr_matrix((np.full(n, 2.0), (np.arange(n), own)), shape=(n, len(known)))
-        parts: list[tuple[scipy.sparse.csr_matrix, Float, GlobalIndex, Mask]] = []
+        parts: list[Differences] = []
         for m in range(dim):
             sides: list[scipy.sparse.csr_matrix] = []
             present: list[Mask] = []
@@ -263,24 +261,48 @@ class OnGrid(NearInverse):
             mirrored = holds[own, m] & (present[0] ^ present[1])
             mean = scipy.sparse.diags(1.0 + mirrored) @ (sides[0] + sides[1])
             weight = np.where((present[0] & present[1]) | mirrored, at_nodes[:n, m] / width[m] ** 4, 0.0)
-            parts.append((mean - middle, weight, known, holds))
+            # An odd component is zero on its plane, and so is its second derivative across.
+            odd = mirrored[:, None] & (np.arange(dim) == m)
+            parts.append(Differences(mean - middle, np.where(odd, 0.0, weight[:, None]), known, holds))
         upper = 2.0 * grid.cells.corners - 1.0
         corners = grid.corners.ravel(), 2**dim * np.arange(len(node) + 1)
         for at, (m, k) in enumerate(combinations(range(dim), 2), dim):
             twist = np.tile(upper[:, m] * upper[:, k] / 2.0 ** (dim - 2), len(node))
             matrix = scipy.sparse.csr_matrix((twist, *corners), shape=(len(node), len(grid.numbers)))
-            parts.append((matrix, in_elements[:, at] / (width[m] * width[k]) ** 2, grid.numbers, grid.held))
-        return [self._matrix(parts, c) for c in range(dim if len(self._cloud.sign) else 1)]
+            weight = np.repeat(in_elements[:, at, None] / (width[m] * width[k]) ** 2, dim, axis=1)
+            parts.append(Differences(matrix, weight, grid.numbers, grid.held))
+        return [_sum_of_squares(parts, c) for c in range(dim if len(self._cloud.sign) else 1)]
 
-    @staticmethod
-    def _matrix(parts: list[tuple[scipy.sparse.csr_matrix, Float, GlobalIndex, Mask]], component: int) -> Entries:
-        """Return the sum of ``T^T w T`` over (T, w, number of each column, components held there)."""
-        found = []
-        for T, weight, number, held in parts:
-            free = T @ scipy.sparse.diags(1.0 - held[:, component])
-            product = scipy.sparse.coo_matrix(free.T @ scipy.sparse.diags(weight) @ free)
-            found.append((number[product.row], number[product.col], product.data))
-        return Entries(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+class Differences(NamedTuple):
+    """Store differences ``T u`` of the values of nodes, and their weights.
+
+    Attributes
+    ----------
+    T : (n, n_columns) sparse
+        Coefficients.
+    weight : (n, dim) float64
+        Weight of each for each component.
+    numbers : (n_columns,) int64
+        Global number of the node of each column.
+    held : (n_columns, dim) bool
+        Components that a mirror plane holds there.
+    """
+
+    T: scipy.sparse.csr_matrix
+    weight: Float
+    numbers: GlobalIndex
+    held: Mask
+
+
+def _sum_of_squares(parts: Sequence[Differences], component: int) -> Entries:
+    """Return the matrix of ``sum w (T u)^2`` for a component."""
+    found = []
+    for T, weight, numbers, held in parts:
+        free = T @ scipy.sparse.diags(1.0 - held[:, component])
+        product = scipy.sparse.coo_matrix(free.T @ scipy.sparse.diags(weight[:, component]) @ free)
+        found.append((numbers[product.row], numbers[product.col], product.data))
+    return Entries(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
 def near_inverses(system: ConformingSystem, families: Families) -> Sequence[type[NearInverse]]:

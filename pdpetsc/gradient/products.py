@@ -266,7 +266,7 @@ class FacetProduct(Product):
     Parameters
     ----------
     stencils : StencilMembers
-        The particles that each pair of facets, or facet and tool, moves with.
+        The particles that each pair of facets, or facet and tool, moves with; owners ascend.
     n_owned : int
         Number of own particles.
     h, g : (n_entries, r, dim) float64

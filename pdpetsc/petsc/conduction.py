@@ -9,7 +9,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
-from pdpetsc.gradient.near_inverse import DIRECT, Entries
+from pdpetsc.gradient.near_inverse import Entries
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import assembled
 
@@ -20,6 +20,8 @@ GOOD = 1e-10
 # or below this multiple of the round-off of the diagonal times the values.
 FLOOR = 20.0
 MOST = 2000
+# Largest number of particles for which the matrix is factored, by dimension.
+DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
 # Shift of the diagonal of the preconditioner, as a share of the largest entry. The inverse of the shift multiplies the
 # round-off of the mean value of unsupported pieces.
 LIFTED = 1e-6

@@ -52,9 +52,10 @@ class _Preconditioner:
         options.suggest(FACTOR if direct else MULTIGRID)
         for entries in near.matrices:
             matrix = assembled(comm, (n, count), entries, LIFTED)
-            if not direct and matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] < SHORT * count:
-                options.suggest({"weights_pc_gamg_square_graph": 0})
-            vectors = _orthonormal(comm, [np.ones((n, 1)), *near.x.T[:, :, None]])
+            if not direct:
+                short = matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] < SHORT * count
+                options.suggest({"weights_pc_gamg_aggressive_coarsening": 0 if short else 1})
+            vectors = _orthonormal(comm, [np.ones(n), *near.x.T])
             linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
             matrix.setNearNullSpace(linear)
             pc = PETSc.PC().create(comm=comm)
@@ -86,6 +87,12 @@ class _Preconditioner:
             thing.destroy()
 
 
+def _without_null_functions(null_space: PETSc.NullSpace, x: PETSc.Vec, system: ConformingSystem) -> None:
+    """Remove the null functions of the system from a vector; called by PETSc."""
+    values = x.array_r.reshape(-1, system.cloud.dim)
+    x.setArray(system.without_null_functions(values).ravel())
+
+
 def solve_conforming(
     system: ConformingSystem, near: NearInverse, rhs: Float, rtol: float, options: Options | None = None
 ) -> tuple[Float, int]:
@@ -111,8 +118,8 @@ def solve_conforming(
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
-    exact = _orthonormal(cloud.comm, system.null_functions)
-    null_space = PETSc.NullSpace().create(vectors=exact, comm=cloud.comm)
+    null_space = PETSc.NullSpace().create(comm=cloud.comm)
+    null_space.setFunction(_without_null_functions, (system,))
     operator.setNullSpace(null_space)
     ksp = PETSc.KSP().create(comm=cloud.comm)
     b, x = operator.createVecs()
@@ -127,7 +134,7 @@ def solve_conforming(
         ksp.solve(b, x)
         return np.array(x.array_r).reshape(rhs.shape), ksp.getIterationNumber()
     finally:
-        for thing in (ksp, b, x, operator, null_space, *exact):
+        for thing in (ksp, b, x, operator, null_space):
             thing.destroy()
 
 
@@ -157,11 +164,11 @@ def assembled(comm: Comm, sizes: tuple[int, int], entries: Entries, lifted: floa
 
 
 def _orthonormal(comm: Comm, functions: Sequence[Float]) -> list[PETSc.Vec]:
-    """Compute an orthonormal basis of functions on own unknowns (n, columns) (collective)."""
+    """Compute an orthonormal basis of functions on own unknowns (n,) (collective)."""
     made: list[PETSc.Vec] = []
     for values in functions:
-        vector = PETSc.Vec().createMPI((values.size, PETSc.DECIDE), comm=comm)
-        vector.setArray(values.ravel())
+        vector = PETSc.Vec().createMPI((len(values), PETSc.DECIDE), comm=comm)
+        vector.setArray(values)
         for _ in range(2):
             for other in made:
                 vector.axpy(-vector.dot(other), other)

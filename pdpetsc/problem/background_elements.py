@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.discrete.background_grid import BackgroundGrid, Cells
+from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid, Cells
 from pdpetsc.discrete.communicator import exchange, total
 from pdpetsc.discrete.families import with_pairs
 from pdpetsc.kernels.background import (
@@ -22,8 +22,6 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 
-# Smallest width of a cell over the distance of neighbours, for a horizon with few particles.
-LEAST_WIDTH = 2.0
 # Smallest modulus, as a share of that of a particle with such a diagonal block. Without it, a particle whose family is
 # too flat for a gradient would have no stiffness, although gradients of others hold it.
 WEAK = 0.1

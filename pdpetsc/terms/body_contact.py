@@ -199,8 +199,8 @@ class BodyContactForces(FacetContact):
         stencils = StencilMembers(owner, ends.ptr, ends.members)
         parts = StencilMembers(owner[first], ends.ptr[np.append(first, len(owner))], ends.members)
         found: list[Product] = [
-            FacetProduct(stencils, n, h, g[:, :-1]),
-            FacetSprings(parts, n, pressed[:, None], self._c * g[:, -1:]),
+            FacetProduct(stencils, n, h, np.ascontiguousarray(g[:, :-1])),
+            FacetSprings(parts, n, pressed[:, None], np.ascontiguousarray(self._c * g[:, -1:])),
         ]
         if self._mu > 0.0:
             found.append(ContactProduct(stencils, n, ends.weights, -area * touching.by_slip))

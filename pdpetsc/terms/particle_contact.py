@@ -87,6 +87,7 @@ class ParticleContactForces(Term):
     """
 
     linear = False
+    stiff = True
     energy_of = "contact"
     horizons = 2
 

@@ -306,6 +306,11 @@ class FacetProduct(Product):
 class FacetSprings(FacetProduct):
     """Springs between the particles of facets, many times stiffer than the body."""
 
+    @property
+    def n_entries(self) -> int:
+        """Return the number of particles in all stencils (not collective)."""
+        return len(self._stencils.members)
+
     def stiff(self) -> FacetSprings:
         """Return itself."""
         return self

@@ -42,7 +42,7 @@ class Interface:
     on_nodes: Entries
 
     def __init__(self, grid: BackgroundElements, free: Mask) -> None:
-        self._grid, self._body = grid, grid.problem.body
+        self._body = grid.problem.body
         self._dim, self._symmetric, cloud = self._body.dim, grid.problem.symmetric, self._body.cloud
         # Signs of images, and 0 for prescribed unknowns.
         self._turned = turned = np.zeros((cloud.n_local, self._dim))
@@ -50,10 +50,20 @@ class Interface:
         cloud.halo.forward(turned)
         if len(cloud.sign):
             turned[cloud.n_owned :] *= cloud.sign
+        # Nodes that move the local particles, and their weights.
+        corners = grid.corners[grid.element]
+        self._nodes = np.zeros((cloud.n_local, corners.shape[1]), dtype=np.int64)
+        self._weights = np.zeros((cloud.n_local, corners.shape[1], self._dim))
+        self._nodes[: cloud.n_owned] = grid.numbers[corners]
+        upper = grid.cells.corners[None] == 1
+        N = np.prod(np.where(upper, grid.at[:, None], 1.0 - grid.at[:, None]), axis=2)
+        self._weights[: cloud.n_owned] = np.where(grid.held[corners], 0.0, N[:, :, None])
+        cloud.halo.forward(self._nodes)
+        cloud.halo.forward(self._weights)
         self._pc: PETSc.PC | None = None
 
     def take(self, tangent: Tangent, scale: float) -> Tangent:
-        """Compute S of a tangent, over the scale; return the rest of the tangent."""
+        """Take the stiff products of a tangent, over the scale: S and ``on_nodes``; return the rest of the tangent."""
         cloud, dim, turned = self._body.cloud, self._dim, self._turned
         stiff = [product.stiff() for product in tangent.products]
         size = cloud.n_local * dim
@@ -83,23 +93,14 @@ class Interface:
 
     def _restricted(self) -> Entries:
         """Return ``I^T S I`` with the global numbers of the unknowns of nodes."""
-        grid, cloud, dim, n = self._grid, self._body.cloud, self._dim, self._body.cloud.n_owned
-        corners = grid.corners[grid.element]
-        nodes = np.zeros((cloud.n_local, corners.shape[1]), dtype=np.int64)
-        weights = np.zeros((cloud.n_local, corners.shape[1], dim))
-        nodes[:n] = grid.numbers[corners]
-        upper = grid.cells.corners[None] == 1
-        N = np.prod(np.where(upper, grid.at[:, None], 1.0 - grid.at[:, None]), axis=2)
-        weights[:n] = np.where(grid.held[corners], 0.0, N[:, :, None])
-        cloud.halo.forward(nodes)
-        cloud.halo.forward(weights)
+        dim, nodes, weights = self._dim, self._nodes, self._weights
         known = np.union1d(self._S.row // dim, self._S.col // dim)
         rows, columns = (np.searchsorted(known, at // dim) * dim + at % dim for at in (self._S.row, self._S.col))
         S = scipy.sparse.csr_matrix((self._S.data, (rows, columns)), shape=(len(known) * dim,) * 2)
         used, place = np.unique(nodes[known], return_inverse=True)
-        at = place.reshape(len(known), corners.shape[1])[:, None, :] * dim + np.arange(dim)[None, :, None]
+        at = place.reshape(len(known), nodes.shape[1])[:, None, :] * dim + np.arange(dim)[None, :, None]
         values = weights[known].transpose(0, 2, 1)
-        ptr = np.arange(len(known) * dim + 1) * corners.shape[1]
+        ptr = np.arange(len(known) * dim + 1) * nodes.shape[1]
         P = scipy.sparse.csr_matrix((values.ravel(), at.ravel(), ptr), shape=(len(known) * dim, len(used) * dim))
         found = scipy.sparse.coo_matrix(P.T @ S @ P)
         return Entries(
@@ -134,8 +135,8 @@ class Interface:
         self._b, self._x = matrix.createVecs()
         matrix.destroy()
 
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with ``D + S``; called by PETSc."""
+    def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve with ``D + S``; with D alone where no facets touch."""
         values = x.array_r.reshape(-1, self._dim)
         found = np.einsum("pij,pj->pi", self._inverse, values)
         if self._pc is not None:
@@ -144,9 +145,20 @@ class Interface:
             found[self._particles] = self._x.array_r.reshape(-1, self._dim)
         y.setArray(found.ravel())
 
-    def destroy(self, pc: PETSc.PC | None = None) -> None:
+    def destroy(self) -> None:
         """Free the PETSc objects."""
         if self._pc is not None:
             for thing in (self._pc, self._b, self._x):
                 thing.destroy()
             self._pc = None
+
+
+class InterfaceSmoother:
+    """Apply an interface as preconditioner; without a method ``destroy``, which PETSc would call."""
+
+    def __init__(self, of: Interface) -> None:
+        self._of = of
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve with ``D + S``; called by PETSc."""
+        self._of.solve(x, y)

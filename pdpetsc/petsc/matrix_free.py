@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.petsc.matrix import TangentMatrix
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
 from pdpetsc.petsc.tangent import PetscTangent
@@ -96,7 +96,7 @@ class MatrixFreeTangent(PetscTangent):
         self.mat.setUp()
         self._version = -1
         self._effort: float | None = None
-        self._strength = np.empty(0)
+        self._strength, self._n_stiff = np.empty(0), 0
 
     def update(self, state: State, effort: float | None = None) -> None:
         """Update to K at a state. The preconditioner is kept while linear solves do not need more iterations."""
@@ -109,7 +109,7 @@ class MatrixFreeTangent(PetscTangent):
             with stage(PRECONDITIONER):
                 tangent = self._made_from.fill(state)
             self._effort = None
-            self._strength = tangent.strength()
+            self._strength, self._n_stiff = tangent.strength(), tangent.n_stiff
             self.diagonal = self._made_from.diagonal
         self._product.tangent = tangent
         self._version = version
@@ -124,11 +124,17 @@ class MatrixFreeTangent(PetscTangent):
         return effort <= HARDER * self._effort
 
     def _stiffer(self, tangent: Tangent) -> bool:
-        """Return True if a particle is much stiffer than at the estimate of the bounds of the smoother."""
+        """Return True if a particle is much stiffer than at the estimate of the bounds of the smoother.
+
+        So are particles of facets that have come into contact.
+        """
         if not self._made_from.bounded:
             return False
+        comm = self._problem.body.cloud.comm
+        if self._problem.stiff and int(total(comm, int(tangent.n_stiff != self._n_stiff))) > 0:
+            return True
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
-        return largest(self._problem.body.cloud.comm, ratio) > STIFFER
+        return largest(comm, ratio) > STIFFER
 
     def renew(self) -> bool:
         """Rebuild the preconditioner if bonds have broken or mended; return True if it was rebuilt."""

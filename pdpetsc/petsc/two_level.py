@@ -10,7 +10,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.near_inverse import Entries
 from pdpetsc.kernels.point_blocks import definite
-from pdpetsc.petsc.interface import Interface
+from pdpetsc.petsc.interface import Interface, InterfaceSmoother
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.scalar import assembled
 from pdpetsc.problem.background_elements import BackgroundElements
@@ -168,7 +168,7 @@ class TwoLevel(Preconditioning):
         smoother.setFromOptions()
         self._nodes = nodes
         if self._interface is not None and smoother.getPC().getType() == "python":
-            smoother.getPC().setPythonContext(self._interface)
+            smoother.getPC().setPythonContext(InterfaceSmoother(self._interface))
         self.bounded = smoother.getType() in BOUNDED
 
     @property

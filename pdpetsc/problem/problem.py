@@ -465,6 +465,12 @@ class Tangent:
         """Return the stiff low-rank part of the tangent; None if there is none (not collective)."""
         return next((product.constraint() for product in self.products if product.constraint() is not None), None)
 
+    @property
+    def n_stiff(self) -> int:
+        """Return the number of particles in the stencils of stiff products on this rank (not collective)."""
+        stiff = [product.stiff() for product in self.products]
+        return sum(product.n_entries for product in stiff if product is not None)
+
     def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
         """Yield virtual row, component and column (n_rows, dim) of each virtual unknown.
 

@@ -130,6 +130,15 @@ def test_a_grid_and_nearest_neighbours_lead_to_the_same_weights(scene, monkeypat
     assert int(found[0].note.split(" iterations")[0].split()[-1]) < 60
 
 
+def test_mirror_planes_cost_no_iterations():
+    planes = [pd.Symmetry("x", 0.0), pd.Symmetry("y", 0.0)]
+    whole, quarter = (
+        weights_of(shaken_plate(n=32), 2.515 / 32, symmetry=some)[3].note.split(" iterations")[0].split()[-1]
+        for some in ([], planes)
+    )
+    assert int(quarter) <= int(whole) + 3
+
+
 @pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons()])
 @pytest.mark.parametrize("thickness", [1.0, 0.25])
 def test_linear_fields_are_exact_and_the_divergence_theorem_holds(scheme, thickness):

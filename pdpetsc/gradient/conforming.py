@@ -21,8 +21,8 @@ from pdpetsc.gradient.near_inverse import NearInverse, near_inverses
 
 # Tolerance of the divergence theorem, as a share of the largest sum of weights of a particle.
 TOLERANCE = 1e-10
-# Tolerance at which the solves of the system end. The weights differ by more than the theorem is off, by the root of the
-# condition number of the system; with 1e-10 a quarter of a mesh would break otherwise than the whole.
+# Tolerance at which the solves of the system end. The weights are off by more than the theorem, by the root of the
+# condition number of the system. With 1e-10 a quarter of a mesh breaks otherwise than the whole.
 AIM = 1e-12
 # Number of solves of the system, each for the remaining right-hand side.
 ROUNDS = 4

@@ -58,7 +58,7 @@ class Bodies(Particles):
 
     @property
     def irregular(self) -> bool:
-        """Return True if the particles of a body are no lattice of equal cells."""
+        """Return True if the particles of a body are not a lattice of equal cells."""
         return any(one.irregular for one in self.parts.values())
 
     @property

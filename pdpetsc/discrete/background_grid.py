@@ -191,9 +191,7 @@ class BackgroundGrid:
         """Compute the share of this rank of nodal forces (n_nodes, dim) from forces on unknowns (n_rows, dim)."""
         cloud, n = self._cloud, self._cloud.n_owned
         f = f * self._free
-        nodal, moment = np.zeros((len(self.numbers), self._dim)), np.zeros((self._dim, self._dim))
-        data = self.element, self.at, self.corners, self._wraps, self._lengths
-        restrict_kernel(self._dim)(*data, f[:n], nodal, moment)
+        nodal, moment = self._sums(f[:n])
         if self._n_virtual:
             virtual = np.einsum("vab,ab->v", self._strains, moment).reshape(-1, self._dim)
             nodal[-self._n_virtual :] = virtual + (f[n:] if cloud.n_virtual else 0.0)
@@ -202,10 +200,14 @@ class BackgroundGrid:
 
     def sums(self, values: Float) -> Float:
         """Compute the share of this rank of ``sum_i N_q(x_i) v_i`` (n_nodes, dim) from values (n_owned, dim)."""
+        return self._sums(values)[0]
+
+    def _sums(self, values: Float) -> tuple[Float, Float]:
+        """Compute ``sums`` and the moment of the values about the periods of their nodes (dim, dim)."""
         nodal, moment = np.zeros((len(self.numbers), self._dim)), np.zeros((self._dim, self._dim))
         data = self.element, self.at, self.corners, self._wraps, self._lengths
         restrict_kernel(self._dim)(*data, values, nodal, moment)
-        return nodal
+        return nodal, moment
 
     def rigid_modes(self) -> Float:
         """Return the rigid motions of the body at the own nodes (n_own, dim, modes), zero for virtual unknowns."""

@@ -150,10 +150,7 @@ class ConformingSystem:
     def product(self, values: Float) -> Float:
         """Return ``S v`` (n_owned, dim) for ``values`` of the own particles (n_owned, dim)."""
         cloud = self.cloud
-        v, out = np.zeros((cloud.n_local, cloud.dim)), np.zeros((cloud.n_local, cloud.dim))
-        v[: cloud.n_owned] = values
-        cloud.halo.forward(v)
-        self._turn(v)
+        v, out = self._with_ghosts(values), np.zeros((cloud.n_local, cloud.dim))
         remainder_kernel(cloud.dim, cloud.dim, 1)(*self._geometry, self._square, v, out)
         self._turn(out)
         cloud.halo.reverse(out)
@@ -162,11 +159,7 @@ class ConformingSystem:
     def change(self, values: Float) -> Float:
         """Return the change of the weights (n_entries, dim) [1 / length] for multipliers (n_owned, dim)."""
         cloud = self.cloud
-        v = np.zeros((cloud.n_local, cloud.dim))
-        v[: cloud.n_owned] = values
-        cloud.halo.forward(v)
-        self._turn(v)
-        e = np.zeros((len(self.operator.members), cloud.dim))
+        v, e = self._with_ghosts(values), np.zeros((len(self.operator.members), cloud.dim))
         remainder_kernel(cloud.dim, cloud.dim, 0)(*self._geometry, self.operator.volume, v, e)
         # The first entry of a point is its centre: minus the sum of the others.
         first = self.operator.point_ptr[:-1]
@@ -183,6 +176,14 @@ class ConformingSystem:
         self._turn(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
+
+    def _with_ghosts(self, values: Float) -> Float:
+        """Return values (n_local, dim) with ghosts from those of the own particles (n_owned, dim)."""
+        found = np.zeros((self.cloud.n_local, self.cloud.dim))
+        found[: self.cloud.n_owned] = values
+        self.cloud.halo.forward(found)
+        self._turn(found)
+        return found
 
     def _turn(self, values: Float) -> None:
         """Multiply the ghosts of ``values`` (n_local, dim) by the signs of their components (not collective)."""

@@ -50,13 +50,13 @@ class _Preconditioner:
         count = int(total(comm, n))
         direct = count <= near.direct[near.x.shape[1]]
         options.suggest(FACTOR if direct else MULTIGRID)
+        vectors = _orthonormal(comm, [np.ones(n), *near.x.T])
+        linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
         for entries in near.matrices:
             matrix = assembled(comm, (n, count), entries, LIFTED)
             if not direct:
                 short = matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] < SHORT * count
                 options.suggest({"weights_pc_gamg_aggressive_coarsening": 0 if short else 1})
-            vectors = _orthonormal(comm, [np.ones(n), *near.x.T])
-            linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
             matrix.setNearNullSpace(linear)
             pc = PETSc.PC().create(comm=comm)
             pc.setOptionsPrefix(PREFIX)
@@ -65,9 +65,10 @@ class _Preconditioner:
             with options.active():
                 pc.setFromOptions()
                 pc.setUp()
-            self._b, self._x = matrix.createVecs()
-            for thing in (matrix, linear, *vectors):
-                thing.destroy()
+            matrix.destroy()
+        self._b, self._x = (PETSc.Vec().createMPI((n, count), comm=comm) for _ in range(2))
+        for thing in (linear, *vectors):
+            thing.destroy()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply the approximate inverse."""

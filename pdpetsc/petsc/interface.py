@@ -62,16 +62,14 @@ class Interface:
         cloud.halo.forward(self._weights)
         self._pc: PETSc.PC | None = None
 
-    def take(self, tangent: Tangent, scale: float) -> Tangent:
-        """Take the stiff products of a tangent, over the scale: S and ``on_nodes``; return the rest of the tangent."""
+    def take(self, tangent: Tangent, scale: float) -> tuple[Tangent, Tangent]:
+        """Take the stiff products of a tangent, over the scale: S and ``on_nodes``; return the rest and these."""
         cloud, dim, turned = self._body.cloud, self._dim, self._turned
-        stiff = [product.stiff() for product in tangent.products]
+        stiff = [part for part in (product.stiff() for product in tangent.products) if part is not None]
         size = cloud.n_local * dim
         S = scipy.sparse.csr_matrix((size, size))
         marked = np.zeros(cloud.n_local)
         for product in stiff:
-            if product is None:
-                continue
             ptr, members, h, g, b = product.one_by_one().data
             at = (members[:, None].astype(np.int64) * dim + np.arange(dim)).ravel()
             H, G = (
@@ -89,7 +87,8 @@ class Interface:
         cloud.halo.forward(number)
         self._number = number
         self.on_nodes = self._restricted()
-        return Tangent(self._body, [one for one, part in zip(tangent.products, stiff, strict=True) if part is None])
+        rest = [product for product in tangent.products if product.stiff() is None]
+        return Tangent(self._body, rest), Tangent(self._body, stiff)
 
     def _restricted(self) -> Entries:
         """Return ``I^T S I`` with the global numbers of the unknowns of nodes."""

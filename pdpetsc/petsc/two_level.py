@@ -76,7 +76,14 @@ class TwoLevel(Preconditioning):
         whole = self._problem.linearised(state)
         state.forget()
         tangent = whole.softened()
-        blocks = np.concatenate([tangent.point_blocks(), _blocks_of_virtual(tangent)])
+        of_virtual = _blocks_of_virtual(tangent)
+        if self._interface is None:
+            blocks = np.concatenate([tangent.point_blocks(), of_virtual])
+        else:
+            rest, springs = self._interface.take(tangent, self._scale)
+            without = np.concatenate([rest.point_blocks(), of_virtual])
+            blocks = without.copy()
+            blocks[: cloud.n_owned] += springs.point_blocks()
         diagonal = np.einsum("pii->pi", blocks).copy()
         self.diagonal = diagonal.ravel()
         values = self._grid.fill(tangent.stiffness(), tangent.blocks, diagonal, self._scale)
@@ -85,10 +92,7 @@ class TwoLevel(Preconditioning):
             self.coarse.assemble()
             self.coarse.stateIncrease()
         else:
-            rest = self._interface.take(tangent, self._scale)
             self._take_nodes(values)
-            without = blocks.copy()
-            without[: cloud.n_owned] = rest.point_blocks()
             self._interface.factor(self._definite(without))
         del values
         blocks = self._definite(blocks)

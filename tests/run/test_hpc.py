@@ -168,8 +168,10 @@ scene = dataclasses.replace(scene, particles=strip, conditions=[held, pulled])
 rehearse(comm, scene, 2)
 rehearse(comm, scene, 2, BackgroundElements)
 sites = {}
+# What the compiler of kernels keeps does not depend on the particles.
+compiler = [tracemalloc.Filter(False, f"*/{package}/*") for package in ("numba", "llvmlite")]
 def look():
-    for found in tracemalloc.take_snapshot().statistics("lineno"):
+    for found in tracemalloc.take_snapshot().filter_traces(compiler).statistics("lineno"):
         site = f"{found.traceback[0].filename.split('pdpetsc/')[-1]}:{found.traceback[0].lineno}"
         sites[site] = max(sites.get(site, 0), found.size)
 tracemalloc.start()
@@ -205,10 +207,12 @@ def test_no_array_of_a_rank_grows_with_the_whole(tmp_path):
     small, large = found
     assert large["particles"] == 2 * small["particles"]
     assert large["owned"] == small["owned"]
+    # Three bytes for each particle more: below an index. What Python itself keeps differs by less from run to run.
+    index = 3 * (large["particles"] - small["particles"])
     grown = {
         site: (small["sites"].get(site, 0), size)
         for site, size in large["sites"].items()
-        if size > 4096 and size > 1.3 * small["sites"].get(site, 0)
+        if size > max(small["sites"].get(site, 0) + index, 1.3 * small["sites"].get(site, 0))
     }
     assert not grown
     assert max(small["sites"].values()) > 8 * small["particles"]

@@ -1,4 +1,4 @@
-"""Extrapolation of the last load step, as initial guess for a material with history."""
+"""Extrapolation of the last load step, as initial guess for materials with history and for contact."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
-from pdpetsc.problem.term import KeptArray
+from pdpetsc.problem.term import KeptArray, Term
 
 # Conditions continue as before if they differ by at most this share of their change in the next step.
 STRAIGHT = 0.1
@@ -23,6 +23,7 @@ class Loaded(Protocol):
 
     body: Body
     supports: Supports
+    terms: list[Term]
 
     def state(self, u: Float, t: float) -> State:
         """Return a state (collective)."""
@@ -38,10 +39,11 @@ class Loaded(Protocol):
 
 
 class LastStep:
-    """Store the change of the displacement in the last load step of a body whose material has a history.
+    """Store the change of the displacement in the last load step of a body whose material has a history, or of contact.
 
     At a committed state the tangent of a yielded material is elastic. The linear response to new conditions then leads
-    far from continued yielding. The last step, extrapolated, leads close to it as long as the conditions keep their
+    far from continued yielding. Where a tool moves on, the facets that it has yet to touch do not resist in the tangent.
+    The last step, extrapolated, leads close to the next equilibrium as long as conditions and tools keep their
     direction.
 
     Parameters
@@ -88,7 +90,8 @@ class LastStep:
         if not first < last < t:
             return None
         ratio = (t - last) / (last - first)
-        for at in (self._problem.supports.prescribed, lambda time: self._loads(u, time)):
+        tools = [term.tool_displacements for term in self._problem.terms]
+        for at in (self._problem.supports.prescribed, lambda time: self._loads(u, time), *tools):
             now = at(last)
             coming, before = at(t) - now, ratio * (now - at(first))
             off, size = total(comm, [float(((coming - before) ** 2).sum()), float((coming**2).sum())])

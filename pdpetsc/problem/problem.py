@@ -85,7 +85,8 @@ class Problem:
         self.fields: list[SolvedField] = []
         # Cells, expansion and damage do not continue as in the last step.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
-        self.last_step = LastStep(self) if goes_on and material_term.has_history else None
+        touches = any(term.stiff and not term.linear for term in terms)
+        self.last_step = LastStep(self) if goes_on and (material_term.has_history or touches) else None
         points = material_term.driving_points
         if self.bond_damage is not None and points is not None:
             self.bond_damage.driving_variable.take(points)

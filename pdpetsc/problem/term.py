@@ -164,6 +164,10 @@ class Term(ABC):
         """
         return False
 
+    def tool_displacements(self, t: float) -> Float:
+        """Return displacements that describe the motion of a tool (n, dim) [length]; none by default (not collective)."""
+        return np.empty((0, 1))
+
     def admissible(self, state: State) -> bool:
         """Return True if the forces are defined on this rank; ghosts are exchanged."""
         return True

@@ -115,6 +115,10 @@ class ContactForces(FacetContact):
         pressed = np.tile(self._c * np.eye(self.body.dim), (len(rows), 1, 1))
         return [self._at.product(self.body.cloud.n_owned, rows, pressed)]
 
+    def tool_displacements(self, t: float) -> Float:
+        """Return the displacements of points that move with the tool, at the facets in the undeformed body."""
+        return self._tool.absolute(self._x, np.zeros_like(self._x), t)
+
     def objection(self, state: State) -> str:
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
         title = self._title[0].lower() + self._title[1:]

@@ -1,4 +1,4 @@
-"""Load steps of materials that remember start from the step before: fewer iterations, the same answers."""
+"""Load steps of materials with history and of contact start from the extrapolated last step."""
 
 import numpy as np
 import pytest
@@ -75,6 +75,34 @@ def test_where_the_load_turns_nothing_is_moved_on(force):
     assert asked == [False, True, True, True, False, True, True, True]
     for u, v in zip(whole, plain, strict=True):
         assert np.abs(u - v).max() < 1e-8 * np.abs(plain[3]).max()
+
+
+def pressed(schedule=None, friction=0.3, turn=0.0):
+    """Return half of a block that a round tool presses and rolls over."""
+    tool = pd.RigidSphere((0.0, 4.0), 2.0, move=(0.0, -0.2), turn=turn, about=(0.0, 4.0), schedule=schedule or pd.Ramp())
+    return pd.Case(
+        particles=pd.LatticeNodes((-2.0, 0.0), (2.0, 2.0), 0.125),
+        material=pd.LinearElastic(E=100.0, nu=0.3, plane="stress"),
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, friction, name="tool")],
+        steps=pd.Steps(8),
+        fields=[],
+    )
+
+
+@pytest.mark.parametrize(("friction", "turn"), [(0.0, 0.0), (0.3, 0.05)])
+def test_a_tool_that_moves_on_needs_fewer_iterations(friction, turn):
+    case = pressed(friction=friction, turn=turn)
+    whole, fewer, asked = marched(case)
+    plain, more, _ = marched(case, moved_on=False)
+    assert asked == [False] + 7 * [True]
+    assert sum(fewer) < 0.95 * sum(more)
+    for u, v in zip(whole, plain, strict=True):
+        assert np.abs(u - v).max() < 1e-7 * np.abs(v).max()
+
+
+def test_where_a_tool_turns_back_nothing_is_moved_on():
+    asked = marched(pressed(there_and_back))[2]
+    assert asked == [False, True, True, True, False, True, True, True]
 
 
 def test_a_run_that_goes_on_starts_its_step_as_if_it_had_not_stopped(tmp_path):

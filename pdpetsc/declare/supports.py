@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from pdpetsc.declare.motion import RigidMotion
 from pdpetsc.declare.particles import WHOLE_CELLS, Lattice, Particles
 from pdpetsc.declare.region import Face, Region
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declared import numbers_from
 from pdpetsc.errors import CaseError
 
 
@@ -134,9 +135,9 @@ class Clamp(_Support):
 class Roller(_Support):
     """Hold a side along its normal; it slides freely in its plane.
 
-    Particles on the surface (``LatticeNodes``, ``MeshNodes``) have no displacement along the normal. The side of a
-    ``Lattice`` becomes a mirror plane, ``Symmetry``, which is exact to round-off; loads, reactions and energies are
-    those of the body. Other particles are refused.
+    Particles on the surface (``LatticeNodes``, ``MeshNodes``) have no displacement along the normal, ``n . u = 0``. The
+    side of a ``Lattice`` becomes a mirror plane, ``Symmetry``, which is exact to round-off; loads, reactions and
+    energies are those of the body. Other particles are refused.
 
     Parameters
     ----------
@@ -144,27 +145,50 @@ class Roller(_Support):
         As for ``Clamp``.
     axis : {"x", "y", "z"}, optional
         The normal of a region that is not the side of a box.
+    normal : sequence of float or callable, optional
+        The normal instead of ``axis``, of any direction and length: (dim,), or a function of positions (n, dim) that
+        returns the normals (n, dim) in the undeformed body.
 
     Raises
     ------
     CaseError
-        In a case: as for ``Clamp``, or ``axis`` is missing for a set or region.
+        In a case: as for ``Clamp``; ``axis`` or ``normal`` is missing for a set or region; a normal is zero; or another
+        condition holds a particle with an inclined normal.
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> quarter = [pd.Roller("-x"), pd.Roller("-y"), pd.Traction("+x", x=2.0)]
+    >>> wedge = pd.Roller("inclined", normal=(1.0, -1.0))
+    >>> sleeve = pd.Roller("outside", normal=lambda x: x)
     """
 
     axis: Literal["x", "y", "z"] | None = None
+    normal: Sequence[float] | Callable[[Float], Float] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.region, Face) == (self.axis is not None):
+        given = (self.axis is not None) + (callable(self.normal) or len(self.normal) > 0)
+        if given != (not isinstance(self.region, Face)):
             raise CaseError(
-                "A Roller on a set or region requires `axis`, the axis of its normal. A Roller on a side must not "
-                "have it."
+                "A Roller on a set or region requires either `axis`, the axis of its normal, or `normal`. A Roller on "
+                "a side must have neither."
             )
+
+    def normals(self, x: Float) -> Float:
+        """Return the unit normals (n, dim) at positions (n, dim)."""
+        if len(x) == 0:
+            return np.zeros_like(x)
+        if callable(self.normal):
+            found = numbers_from("normal of a Roller", self.normal, x)
+        else:
+            found = np.asarray(self.normal, dtype=float)
+        if found.shape not in (x.shape, x.shape[1:]):
+            raise CaseError(f"The normal of a Roller has the shape {found.shape}, not {x.shape[1:]} or {x.shape}.")
+        length = np.broadcast_to(np.linalg.norm(found, axis=-1, keepdims=True), (len(x), 1))
+        if not np.all(np.isfinite(length) & (length > 0.0)):
+            raise CaseError("The normal of a Roller must be finite and not zero.")
+        return np.asarray(found / length)
 
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
         """Return the lattice, and a mirror plane along the side."""
@@ -176,6 +200,9 @@ class Roller(_Support):
     def put(self, onto: Any, name: str) -> None:
         """Prescribe zero for the normal component; a mirror plane needs no condition."""
         if isinstance(onto.particles, Lattice):
+            return
+        if self.axis is None and not isinstance(self.region, Face):
+            onto.roller(self._on(onto.particles), self.normals, name)
             return
         across = self.axis if self.axis is not None else self._side().side[1]
         x, y, z = (0.0 if axis == across else None for axis in "xyz")

@@ -42,8 +42,8 @@ class LastStep:
     """Store the change of the displacement in the last load step of a body whose material has a history, or of contact.
 
     At a committed state the tangent of a yielded material is elastic. The linear response to new conditions then leads
-    far from continued yielding. Where a tool moves on, the facets that it has yet to touch do not resist in the tangent.
-    The last step, extrapolated, leads close to the next equilibrium as long as conditions and tools keep their
+    far from continued yielding. Where a tool moves on, the facets that it has yet to touch do not resist in the
+    tangent. The last step, extrapolated, leads close to the next equilibrium as long as conditions and tools keep their
     direction.
 
     Parameters

@@ -165,8 +165,8 @@ class Term(ABC):
         return False
 
     def tool_displacements(self, t: float) -> Float:
-        """Return displacements that describe the motion of a tool (n, dim) [length]; none by default (not collective)."""
-        return np.empty((0, 1))
+        """Return displacements that describe the motion of a tool (n, dim) [length], by default none."""
+        return np.empty((0, 0))
 
     def admissible(self, state: State) -> bool:
         """Return True if the forces are defined on this rank; ghosts are exchanged."""

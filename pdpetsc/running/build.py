@@ -382,7 +382,8 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
     strained = int(total(cloud.comm, np.count_nonzero(~problem.supports.fixed[cloud.n_owned :])))
     if case.heat is not None or problem.supports.ties is not None or strained:
         raise CaseError(
-            f"{title} does not go with heat conduction, PointSupport or a cell of unknown strain. Use Newton."
+            f"{title} does not go with heat conduction, PointSupport, an inclined Roller or a cell of unknown strain. "
+            f"Use Newton."
         )
     if applied.damping_time and isinstance(case.solver, Implicit):
         raise CaseError(

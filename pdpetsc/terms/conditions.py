@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from pdpetsc.declare.conditions import (
 )
 from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.region import Region
 from pdpetsc.declare.supports import PointSupport
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.declare.tools import Contact
@@ -186,6 +187,22 @@ class Applied:
             return np.asarray(np.array(means) * volume.sum() / volume[tied])
 
         self.supports.tie(combination, values, name)
+
+    def roller(self, region: Region, normals: Callable[[Float], Float], name: str) -> None:
+        """Prescribe ``n . u = 0`` for normals of any direction: the component along the axis closest to n is tied."""
+        cloud = self.body.cloud
+        own = np.flatnonzero(select(cloud, region, name)).astype(np.int32)
+        with agreed(cloud.comm):
+            n = normals(cloud.x[own])
+        axis = np.argmax(np.abs(n), axis=1).astype(np.int32)
+        others = np.array([[a for a in range(cloud.dim) if a != along] for along in range(cloud.dim)])[axis]
+        ratio = -np.take_along_axis(n, others, axis=1) / np.take_along_axis(n, axis[:, None], axis=1)
+        each = cloud.dim - 1
+        combination = Combination(
+            own, axis, each * np.arange(len(own) + 1, dtype=np.int64), np.repeat(cloud.row[own], each),
+            others.ravel().astype(np.int32), ratio.ravel(),
+        )  # fmt: skip
+        self.supports.tie(combination, lambda t: np.zeros(len(own)), name)
 
     def force(self, condition: Force, name: str) -> None:
         """Add a total force."""

@@ -13,6 +13,7 @@ from pdpetsc.declare.conditions import Condition
 from pdpetsc.discrete.selection import select
 from pdpetsc.problem.ties import Combination
 from tests.commands import script_on
+from tests.mesh.test_meshes import box, written
 
 
 @dataclass(frozen=True)
@@ -267,3 +268,81 @@ def test_temperature_and_tied_displacements_are_found_together(tmp_path):
         fields.append((solution.u, pd.temperature(solution)))
     for staggered, monolithic in zip(*fields, strict=True):
         assert np.abs(monolithic - staggered).max() < 1e-8 * np.abs(staggered).max()
+
+
+def of_nodes(angle, path, rollers, load, **given):
+    """Return a block of 4 x 2 on mesh nodes, turned by an angle, with rollers and a pressure on two of its sides."""
+    points, cells = box("quad", (8, 4), 0.5 * turned(angle))
+    written(path, points, [("quad", cells)])
+    return pd.Case(
+        particles=pd.MeshNodes(path), material=pd.LinearElastic(E=10.0, nu=0.3, plane="stress"),
+        conditions=[*rollers, load], fields=[], **given,
+    )  # fmt: skip
+
+
+def test_rollers_on_an_inclined_side_leave_uniform_stress(tmp_path):
+    R = turned(0.7)
+
+    def side(test):
+        return pd.region.Where(lambda x: test(x @ R))
+
+    left, low = side(lambda y: y[:, 0] < 1e-6), side(lambda y: (y[:, 1] < 1e-6) & (y[:, 0] > 1e-6))
+    corner = side(lambda y: (y[:, 0] < 1e-6) & (y[:, 1] < 1e-6))
+    above = left & ~corner
+    rollers = [
+        pd.Displacement(corner, x=0.0, y=0.0),
+        pd.Roller(above, normal=lambda x: np.tile(3.0 * R[:, 0], (len(x), 1))),
+        pd.Roller(low, normal=R[:, 1]),
+    ]
+    pulled = pd.Traction(side(lambda y: y[:, 0] > 4.0 - 1e-6), x=0.2 * R[0, 0], y=0.2 * R[1, 0])
+    result = pd.run(of_nodes(0.7, tmp_path / "block.vtk", rollers, pulled), output=tmp_path / "run")
+    x, u = result.solution.x @ R, result.solution.u @ R
+    np.testing.assert_allclose(u, 0.02 * x * [1.0, -0.3], atol=1e-9)
+    force = result.solution.reaction[x[:, 0] < 1e-6].sum(axis=0) @ R
+    np.testing.assert_allclose(force, [-0.4, 0.0], atol=1e-8)
+
+
+def test_rollers_on_a_circle_allow_its_rotation_only(tmp_path):
+    """A disc in a sleeve: a pair of forces at its rim turns it as a rigid body that a spring at its middle resists."""
+    disc = pd.region.Sphere((0.0, 0.0), 1.0 + 1e-6)
+    rim = pd.region.Where(lambda x: np.hypot(*x.T) > 0.8)
+    case = pd.Case(
+        particles=pd.LatticeNodes((-1.0, -1.0), (1.0, 1.0), 0.1, keep=disc),
+        material=pd.LinearElastic(E=10.0, nu=0.3, plane="stress"),
+        conditions=[
+            pd.Roller(rim, normal=lambda x: x),
+            pd.Displacement(pd.region.Sphere((0.0, 0.0), 0.25), x=0.0, y=0.0),
+        ],
+        fields=[],
+    )
+    ring = pd.BodyForce(rim, x=lambda x, t: -x[:, 1], y=lambda x, t: x[:, 0])
+    result = pd.run(dataclasses.replace(case, conditions=[*case.conditions, ring]), output=tmp_path)
+    x, u = result.solution.x, result.solution.u
+    outside = np.hypot(*x.T) > 0.8
+    assert np.abs((x * u).sum(axis=1)[outside]).max() < 1e-12
+    turn = (x[:, 0] * u[:, 1] - x[:, 1] * u[:, 0])[outside] / (x[outside] ** 2).sum(axis=1)
+    assert turn.min() > 0.0
+    reaction = result.solution.reaction[outside]
+    assert np.abs(x[outside, 0] * reaction[:, 1] - x[outside, 1] * reaction[:, 0]).max() < 1e-8 * np.abs(reaction).max()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "either `axis`"),
+        ({"axis": "x", "normal": (1.0, 0.0)}, "either `axis`"),
+        ({"normal": (0.0, 0.0)}, "not zero"),
+        ({"normal": (1.0, 0.0, 0.0)}, "shape"),
+        ({"normal": lambda x: x[:, :1]}, "shape"),
+    ],
+)
+def test_normals_of_rollers_are_checked(given, message, tmp_path):
+    with pytest.raises(pd.CaseError, match=message):
+        held = [pd.Roller(pd.region.Slab("x", high=0.0), **given), pd.Clamp("+y")]
+        pd.run(
+            pd.Case(
+                particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25),
+                material=pd.LinearElastic(E=10.0, nu=0.3, plane="stress"), conditions=held,
+            ),
+            output=tmp_path,
+        )  # fmt: skip

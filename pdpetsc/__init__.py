@@ -75,7 +75,7 @@ from pdpetsc.declare.solvers import (
     PathFollowing,
 )
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.declare.supports import Clamp, PointSupport, RigidRegion, Roller
+from pdpetsc.declare.supports import Clamp, Foundation, PointSupport, RigidRegion, Roller
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.text_file import TextFile
@@ -207,6 +207,7 @@ __all__ = [
     "Facets",
     "FollowerPressure",
     "Force",
+    "Foundation",
     "FractureEnergy",
     "Graded",
     "HeatConduction",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from pdpetsc.declare.motion import RigidMotion
 from pdpetsc.declare.particles import WHOLE_CELLS, Lattice, Particles
 from pdpetsc.declare.region import Face, Region
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.declared import numbers_from
+from pdpetsc.declared import NonNegative, numbers_from
 from pdpetsc.errors import CaseError
 
 
@@ -207,6 +207,54 @@ class Roller(_Support):
         across = self.axis if self.axis is not None else self._side().side[1]
         x, y, z = (0.0 if axis == across else None for axis in "xyz")
         onto.displacement(Displacement(self._on(onto.particles), x, y, z), name)
+
+
+@dataclass(frozen=True)
+class Foundation(Condition):
+    """Springs between a side of the body and the ground, ``t = -(normal n (x) n + tangential (1 - n (x) n)) u``.
+
+    ``t`` is the traction on a facet with the normal ``n`` in the undeformed body. The springs also pull; a foundation
+    that the body may leave is a ``Contact`` with a ``RigidPlane`` of this ``stiffness``.
+
+    Parameters
+    ----------
+    region : Region or str
+        Facets of the surface: a side, ``"-x"`` to ``"+z"``, a set or a region.
+    normal, tangential : float
+        Stiffness along and across the normal [stress / length]; ``tangential`` is 0 by default.
+    name : str
+        Prefix of the columns ``NAME_x``, ``NAME_y`` (force of the ground on the body) in the history.
+
+    Raises
+    ------
+    CaseError
+        Both stiffnesses are 0; in a case: the surface of the particles is not known.
+
+    References
+    ----------
+    Hetenyi1946, chapter 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> bed = pd.Foundation("-y", normal=0.05)
+    """
+
+    region: Region
+    normal: NonNegative
+    tangential: NonNegative = 0.0
+    name: str = "foundation"
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.normal == self.tangential == 0.0:
+            raise CaseError("A Foundation requires a positive stiffness `normal` or `tangential`.")
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the springs."""
+        onto.foundation(self, name)
 
 
 @dataclass(frozen=True)

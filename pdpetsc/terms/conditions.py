@@ -29,7 +29,7 @@ from pdpetsc.declare.conditions import (
 from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.supports import PointSupport
+from pdpetsc.declare.supports import Foundation, PointSupport
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import agreed, largest, total
@@ -44,11 +44,13 @@ from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
 from pdpetsc.terms.body_contact import BodyContactForces
 from pdpetsc.terms.centrifugal import CentrifugalForce
+from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
-from pdpetsc.terms.facet_contact import STIFFNESS
+from pdpetsc.terms.facet_contact import STIFFNESS, Points
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.particle_contact import ParticleContactForces
+from pdpetsc.terms.point_springs import FoundationForces
 from pdpetsc.terms.surface_loads import SurfaceLoads
 from pdpetsc.terms.tied import TIED, TiedForces
 
@@ -264,6 +266,19 @@ class Applied:
         if condition.stiffness is None:
             stiffness *= TIED
         self.following.append(TiedForces(self.body, condition, one, other, stiffness, spacing, name))
+
+    def foundation(self, condition: Foundation, name: str) -> None:
+        """Add springs on facets."""
+        surface = self.body.surface
+        assert surface is not None
+        facets = ChosenFacets(surface, surface.select(self.body.cloud, condition.region, name))
+        self._take_name(condition.name)
+        area = np.linalg.norm(facets.area, axis=1)
+        points = Points(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
+        normals = facets.area / area[:, None]
+        self.following.append(
+            FoundationForces(self.body, points, normals, condition.normal, condition.tangential, condition.name)
+        )
 
     def _two_parts(self, condition: BodyContact | Tied, name: str) -> tuple[Mask, Mask, float, float]:
         """Return the facets of two parts of the surface, the stiffness between them and the coarser spacing."""

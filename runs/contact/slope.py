@@ -1,22 +1,16 @@
 """Block on a rigid slope: it sticks until the tangent of the angle is the friction. Any consistent units.
 
 A block of 2 x 1, E = 1e4, nu = 0, plane stress, weight 1 per volume, on a rigid plane. In the axes of the plane the
-weight turns: it acts along the normal until a quarter of the load, and then turns linearly to ``load`` degrees. Springs
-of the stiffness ``soft`` per volume hold the block, because a case refuses a body that only contact
-holds. They also bound the sliding: a block that slides moves until they carry ``W (sin - friction cos)``.
+weight turns: it acts along the normal until a quarter of the load, and then turns linearly to ``load`` degrees. An
+elastic foundation, ``soft`` per volume of the block, holds it, because a case refuses a body that only contact holds.
+It also bounds the sliding: a block that slides moves until the foundation carries ``W (sin - friction cos)``.
 
 Results: ``drag_over_normal``, the forces of the plane at the end, against the least of friction and tangent of the
 angle; ``slip_angle`` [degrees], the middle of the step in which the drag reaches the friction, or ``load``, against
-``atan(friction)``; ``carried`` by the springs over W, against ``max(sin - friction cos, 0)``.
+``atan(friction)``; ``carried`` by the foundation over W, against ``max(sin - friction cos, 0)``.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.append(str(Path(__file__).parent))
-from springs import SoftSprings
 
 import pdpetsc as pd
 
@@ -59,8 +53,8 @@ def case(n=10, friction=0.3, load=25.0, soft=0.1):
         conditions=[
             pd.BodyForce(pd.region.All(), x=weight, y=pressed),
             pd.Contact("-y", plane, friction, name="plane"),
+            pd.Foundation("-y", normal=soft * HEIGHT, tangential=soft * HEIGHT),
         ],
-        terms=[SoftSprings(soft)],
         steps=pd.Steps(times=(NORMAL, *(NORMAL + (1.0 - NORMAL) * k / STEPS for k in range(1, STEPS)), 1.0)),
         history={"moved": pd.Mean(pd.displacement, "x")},
         results=results,

@@ -1,9 +1,9 @@
 """Beam on two rigid rollers that a third one bends: Timoshenko's beam. Any consistent units.
 
 A beam of depth 1, E = 1e4, nu = 0.3, plane stress, with a span of 8 and ends 0.5 beyond the rollers, of radius 0.5. The
-upper roller moves down by ``load``. Half of the beam is computed, on nodes, ``n`` over the depth. Very soft springs
-hold it, because a case refuses a body that only contact holds. With ``supports=points`` the means of the displacements
-of small patches are prescribed instead of rollers.
+upper roller moves down by ``load``. Half of the beam is computed, on nodes, ``n`` over the depth. A very soft
+foundation holds it, because a case refuses a body that only contact holds. With ``supports=points`` the means of the
+displacements of small patches are prescribed instead of rollers.
 
 Timoshenko: ``w / F = S^3 / (48 E I) + S / (4 k G A)``, k = 5/6, with w the difference of the deflections of the axis
 above the support and below the load, which leaves the indentations out.
@@ -11,12 +11,6 @@ above the support and below the load, which leaves the indentations out.
 Results: ``force`` of the upper roller on the whole beam, ``deflection`` w, ``stiffness_over_timoshenko``, and
 ``support_over_force``, twice the reaction of a support over the force.
 """
-
-import sys
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).parent))
-from springs import SoftSprings
 
 import pdpetsc as pd
 
@@ -38,10 +32,10 @@ def case(n=16, friction=0.0, load=0.02, supports="rollers"):
     feet, head = pd.region.Sphere((0.5 * SPAN, 0.0), 1.1 * dx), pd.region.Sphere((0.0, DEPTH), 1.1 * dx)
     if rollers:
         held = [pd.Contact("-y", below, friction, name="below"), pd.Contact("+y", above, friction, name="above")]
-        history = {}
+        soft, history = [pd.Foundation("-y", normal=1e-8 * E, tangential=1e-8 * E)], {}
     else:
         held = [pd.PointSupport(feet, y=0.0), pd.PointSupport(head, y=-load)]
-        history = {"below_y": pd.Reaction("y", feet), "above_y": pd.Reaction("y", head)}
+        soft, history = [], {"below_y": pd.Reaction("y", feet), "above_y": pd.Reaction("y", head)}
 
     def results(h):
         force, w = -2.0 * h["above_y"][-1], h["support"][-1] - h["middle"][-1]
@@ -55,8 +49,7 @@ def case(n=16, friction=0.0, load=0.02, supports="rollers"):
     return pd.Case(
         particles=pd.LatticeNodes((0.0, 0.0), (0.5 * SPAN + END, DEPTH), dx),
         material=pd.LinearElastic(E=E, nu=NU, plane="stress"),
-        conditions=[pd.Roller("-x"), *held],
-        terms=[SoftSprings(1e-8 * E)] if rollers else [],
+        conditions=[pd.Roller("-x"), *held, *soft],
         steps=pd.Steps(2),
         history={
             **history,

@@ -1,0 +1,106 @@
+"""Linear springs at points of the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.gradient.products import Product
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+from pdpetsc.terms.facet_contact import Points
+
+
+class PointSprings(Term):
+    """Compute the forces ``f_k = -sum_p w_p(x_k) A_p C_p v_p`` for the relative displacements ``v_p`` of points.
+
+    Parameters
+    ----------
+    body : Body
+        Particles with their surface.
+    points : Points
+        The points.
+    stiffness : (n_points, dim, dim) float64
+        Symmetric ``C_p`` [stress / length].
+    name : str
+        Prefix of the columns in the history.
+
+    Notes
+    -----
+    The methods are collective.
+    """
+
+    stiff = True
+    horizons = 2
+
+    def __init__(self, body: Body, points: Points, stiffness: Float, name: str) -> None:
+        self.body, self._points, self._stiffness, self._name = body, points, stiffness, name
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
+        """Return the members of the points (not collective)."""
+        return self._points.stencils.point_ptr, self._points.stencils.members
+
+    def _force(self, state: State) -> Float:
+        """Compute the forces at the points (n_points, dim) [force] (collective)."""
+        v = self._points.moved(state.u_local)
+        return np.asarray(-self._points.area[:, None] * np.einsum("pij,pj->pi", self._stiffness, v))
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Subtract the forces of the springs."""
+        self._points.spread(self._force(state), f)
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return ``A_p C_p`` at all points."""
+        return [self._points.product(self.body.cloud.n_owned, np.arange(len(self._stiffness)), self._stiffness)]
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_p A_p v_p . C_p v_p / 2`` of this rank [energy]."""
+        return -0.5 * float((self._force(state) * self._points.moved(state.u_local)).sum())
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return the sum of the forces at the points by component."""
+
+        def component(axis: int) -> Callable[[State], float]:
+            return lambda state: float(self._force(state)[:, axis].sum())
+
+        return {f"{self._name}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
+
+
+class FoundationForces(PointSprings):
+    """Springs between the facets of a surface and the ground.
+
+    Parameters
+    ----------
+    body : Body
+        Particles with their surface.
+    points : Points
+        The facets.
+    normals : (n_points, dim) float64
+        Their unit normals in the undeformed body [-].
+    normal, tangential : float
+        Stiffness along and across the normals [stress / length].
+    name : str
+        Prefix of the columns in the history.
+    """
+
+    energy_of = "foundation"
+
+    def __init__(
+        self, body: Body, points: Points, normals: Float, normal: float, tangential: float, name: str
+    ) -> None:  # fmt: skip
+        along = normals[:, :, None] * normals[:, None, :]
+        super().__init__(body, points, normal * along + tangential * (np.eye(body.dim) - along), name)
+        # The directions that are held, each as the axis closest to it.
+        held = np.full(normals.shape, tangential > 0.0)
+        held[np.arange(len(normals)), np.argmax(np.abs(normals), axis=1)] = normal > 0.0
+        self._grounded = np.zeros((body.cloud.n_owned, body.dim), dtype=bool)
+        np.logical_or.at(self._grounded, points.stencils.owner, held)
+
+    @property
+    def grounded(self) -> Mask:
+        """Return which displacements of the own particles it ties to the ground (n_owned, dim) (not collective)."""
+        return self._grounded

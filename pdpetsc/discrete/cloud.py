@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.discrete.communicator import Comm, exchange, fetch, largest, offset, smallest, total
+from pdpetsc.discrete.communicator import Comm, exchange, fetch, largest, offset, owners, smallest, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.discrete.partition import bisect
 from pdpetsc.discrete.periodic import Images, refuse_outside, shifts
@@ -310,10 +310,7 @@ def creators(cloud: Cloud) -> tuple[GlobalIndex, GlobalIndex]:
     -----
     Collective.
     """
-    comm, gid = cloud.comm, cloud.gid[: cloud.n_owned]
-    starts = np.array(comm.allgather(offset(comm, cloud.n_created)), dtype=np.int64)
-    creator = np.searchsorted(starts, gid, side="right") - 1
-    return creator, gid - starts[creator]
+    return owners(cloud.comm, offset(cloud.comm, cloud.n_created), cloud.gid[: cloud.n_owned])
 
 
 def _near_in_memory(x: Float, gid: GlobalIndex, reach: Float) -> GlobalIndex:

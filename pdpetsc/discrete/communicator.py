@@ -163,6 +163,16 @@ def exchange(
     return received, counts
 
 
+def owners(comm: Comm, first: int, rows: NDArray[Any]) -> tuple[GlobalIndex, GlobalIndex]:
+    """Return the rank that holds each of some rows (n,), and their numbers on it.
+
+    Ranks hold rows one after another; ``first`` is the first row of this rank (collective).
+    """
+    firsts = np.array(comm.allgather(first), dtype=np.int64)
+    rank = np.searchsorted(firsts, rows, side="right") - 1
+    return rank, rows - firsts[rank]
+
+
 def fetch(comm: Comm, holder: NDArray[Any], row: NDArray[Any], part: NDArray[Any]) -> NDArray[Any]:
     """Fetch rows of an array that is distributed over the ranks.
 

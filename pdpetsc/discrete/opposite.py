@@ -6,7 +6,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import exchange
+from pdpetsc.discrete.communicator import exchange, owners
 from pdpetsc.discrete.families import Families
 
 
@@ -28,8 +28,7 @@ class OppositeBonds:
     def __init__(self, cloud: Cloud, families: Families, keys: GlobalIndex) -> None:
         comm = cloud.comm
         self._comm, self._n = comm, len(keys)
-        firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
-        owner = np.searchsorted(firsts, cloud.row[families.neighbours], side="right") - 1
+        owner, _ = owners(comm, cloud.first, cloud.row[families.neighbours])
         away = np.flatnonzero(owner != comm.rank)
         here = np.flatnonzero(owner == comm.rank)
         # A bond to the own mirror image has only one direction, which is its own opposite.

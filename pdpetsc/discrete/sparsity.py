@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, exchange
+from pdpetsc.discrete.communicator import Comm, exchange, fetch, owners
 from pdpetsc.kernels.assembly import add_blocks_kernel
 from pdpetsc.kernels.sparsity import merge_rows, product_sparsity, transpose
 
@@ -138,13 +138,8 @@ class Sparsity:
 
     def of_other_columns(self, values: NDArray[Any]) -> NDArray[Any]:
         """Fetch the rows of ``values`` (n_owned, ...) of the columns that this rank does not own (collective)."""
-        comm, cloud = self.cloud.comm, self.cloud
-        firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
-        owner = np.searchsorted(firsts, self.other_columns, side="right") - 1
-        (asked,), counts = exchange(comm, owner, [self.other_columns])
-        asker = np.repeat(np.arange(comm.size), counts)
-        (answer,), _ = exchange(comm, asker, [values[asked - cloud.first]])
-        return answer
+        comm, first = self.cloud.comm, self.cloud.first
+        return fetch(comm, *owners(comm, first, self.other_columns), values)
 
     def complete(self, ghost_values: Float, diag: Float, off: Float, dim: int) -> None:
         """Send assembled ghost rows to their owners and add the received rows to ``diag`` and ``off``.

@@ -12,7 +12,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid
-from pdpetsc.discrete.communicator import exchange, largest, total
+from pdpetsc.discrete.communicator import exchange, largest, owners, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.gradient.conforming_system import ConformingSystem
@@ -195,14 +195,13 @@ class OnGrid(NearInverse):
         self._grid = grid = BackgroundGrid(cloud, families, every, width, free)
         self.x = grid.own_positions
         own = (grid.numbers >= grid.first) & (grid.numbers < grid.first + len(self.x))
-        firsts = np.array(cloud.comm.allgather(grid.first))
         others = np.flatnonzero(~own[: grid.n_local])
-        owner = np.searchsorted(firsts, grid.numbers[others], side="right") - 1
+        owner, there = owners(cloud.comm, grid.first, grid.numbers[others])
         # Own nodes first, then those of others by their rank.
         self._order = np.concatenate([np.flatnonzero(own), others])
-        self._halo = Halo(cloud.comm, len(self.x), owner, grid.numbers[others] - firsts[owner])
+        self._halo = Halo(cloud.comm, len(self.x), owner.astype(np.int32), there.astype(np.int32))
         self.inverse_diagonal = 1.0 / system.diagonal[:, None]
-        self.matrices = self._curvature(firsts, system.energies, grid.cells.width / cloud.horizon)
+        self.matrices = self._curvature(system.energies, grid.cells.width / cloud.horizon)
 
     def restrict(self, values: Float) -> Float:
         """Compute the sums over the particles, ``sum_i N_q(x_i) r_i``."""
@@ -219,7 +218,7 @@ class OnGrid(NearInverse):
         nodal[self._order] = local
         return self._grid.interpolate(nodal)[: self._n]
 
-    def _curvature(self, firsts: GlobalIndex, energies: Float, width: Float) -> list[Entries]:
+    def _curvature(self, energies: Float, width: Float) -> list[Entries]:
         """Return the matrix of second derivatives, for each component if there are mirror planes (collective).
 
         ``energies`` (n_owned, functions) are those of ``x_m^2 / 2``, then of ``x_m x_n``.
@@ -239,7 +238,7 @@ class OnGrid(NearInverse):
                 same = np.full(node[:, here].size, 2 * m + side)
                 lines.append(np.stack([node[:, here].ravel(), same, node[:, there].ravel(), bits.ravel()], axis=1))
         sent = np.concatenate(lines).astype(np.int64)
-        (found,), _ = exchange(self._cloud.comm, np.searchsorted(firsts, sent[:, 0], side="right") - 1, [sent])
+        (found,), _ = exchange(self._cloud.comm, owners(self._cloud.comm, grid.first, sent[:, 0])[0], [sent])
         known, index = np.unique(np.concatenate([grid.first + np.arange(n), found[:, 2]]), return_inverse=True)
         own, other = np.split(index.reshape(-1), [n])
         holds = np.zeros((len(known), dim), dtype=bool)

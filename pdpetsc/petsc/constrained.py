@@ -10,6 +10,7 @@ from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.gradient.products import ConstraintProduct
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.schur import DIRECT, SchurComplement
+from pdpetsc.petsc.shell import Shell
 from pdpetsc.petsc.two_level import TwoLevel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem, Tangent
@@ -78,7 +79,7 @@ class Constrained(Preconditioning):
         self._outer = ksp
         pc = ksp.getPC()
         if pc.getType() == "python":
-            pc.setPythonContext(_Solve(self))
+            pc.setPythonContext(Shell(self.solve))
         else:
             self._levels.equip(tangent, ksp)
 
@@ -112,39 +113,6 @@ class Constrained(Preconditioning):
             self._ksp.destroy()
             self._system.destroy()
         self._levels.destroy()
-
-
-class _Solve:
-    """Apply a saddle-point solve as preconditioner; without a method ``destroy``, which PETSc would call."""
-
-    def __init__(self, of: Constrained) -> None:
-        self._of = of
-
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the preconditioner; called by PETSc."""
-        self._of.solve(x, y)
-
-
-class _Blocks:
-    """Apply the two levels and the Schur complement."""
-
-    def __init__(self, system: _System) -> None:
-        self._system = system
-
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the preconditioner; called by PETSc."""
-        self._system.precondition(x, y)
-
-
-class _Whole:
-    """Apply the system to a vector."""
-
-    def __init__(self, system: _System) -> None:
-        self._system = system
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute the product; called by PETSc."""
-        self._system.times(x, y)
 
 
 class _System:
@@ -182,10 +150,10 @@ class _System:
     def solver(self, levels: TwoLevel, comm: PETSc.Comm, n: int) -> PETSc.KSP:
         """Build MINRES with the two levels as preconditioner (collective)."""
         size = n + len(self._compliance)
-        self.mat = PETSc.Mat().createPython(((size, None), (size, None)), context=_Whole(self), comm=comm)
+        self.mat = PETSc.Mat().createPython(((size, None), (size, None)), context=Shell(self.times), comm=comm)
         self.mat.setUp()
         self.right, self.found = self.mat.createVecs()
-        self._soft_mat = PETSc.Mat().createPython(levels.mat.getSizes(), context=_Soft(self), comm=comm)
+        self._soft_mat = PETSc.Mat().createPython(levels.mat.getSizes(), context=Shell(self._soft_product), comm=comm)
         self._soft_mat.setUp()
         self._inner = PETSc.KSP().create(comm=comm)
         self._inner.setOperators(self._soft_mat, levels.mat)
@@ -200,7 +168,7 @@ class _System:
         ksp.setType("minres")
         ksp.setTolerances(atol=0.0, max_it=MOST)
         ksp.getPC().setType("python")
-        ksp.getPC().setPythonContext(_Blocks(self))
+        ksp.getPC().setPythonContext(Shell(self.precondition))
         ksp.setFromOptions()
         return ksp
 
@@ -235,19 +203,11 @@ class _System:
         np.multiply(u, self._free, out=self._masked)
         return np.where(self._free, self._soft(self._masked) / self._scale, u).ravel()
 
+    def _soft_product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.setArray(self.soft_times(x.array_r))
+
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.forget_schur()
         for one in (self._inner, self._soft_mat, self.mat, self.right, self.found, self._x, self._y):
             one.destroy()
-
-
-class _Soft:
-    """Apply the soft tangent to a vector."""
-
-    def __init__(self, system: _System) -> None:
-        self._system = system
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute the product; called by PETSc."""
-        y.setArray(self._system.soft_times(x.array_r))

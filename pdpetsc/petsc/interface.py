@@ -150,14 +150,3 @@ class Interface:
             for thing in (self._pc, self._b, self._x):
                 thing.destroy()
             self._pc = None
-
-
-class InterfaceSmoother:
-    """Apply an interface as preconditioner; without a method ``destroy``, which PETSc would call."""
-
-    def __init__(self, of: Interface) -> None:
-        self._of = of
-
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with ``D + S``; called by PETSc."""
-        self._of.solve(x, y)

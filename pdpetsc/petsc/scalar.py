@@ -9,10 +9,11 @@ import scipy
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, exchange, offset, total
+from pdpetsc.discrete.communicator import Comm, exchange, offset, owners, total
 from pdpetsc.gradient.conforming_system import ConformingSystem
 from pdpetsc.gradient.near_inverse import Entries, NearInverse
 from pdpetsc.petsc.options import Options
+from pdpetsc.petsc.shell import Shell
 
 # Shift of the diagonal of the preconditioner, as a share of it. It removes the null space of the preconditioner.
 LIFTED = 1e-8
@@ -28,17 +29,6 @@ MULTIGRID = {
 # they take seven times as long to set up.
 SHORT = 50
 FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
-
-
-class _Product:
-    """Provide the system as a PETSc shell matrix."""
-
-    def __init__(self, system: ConformingSystem) -> None:
-        self._system = system
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute the product."""
-        y.setArray(self._system.product(x.array_r.reshape(-1, self._system.cloud.dim)).ravel())
 
 
 class _Preconditioner:
@@ -116,7 +106,11 @@ def solve_conforming(
     """
     cloud = system.cloud
     sizes = (cloud.n_owned * cloud.dim, cloud.n_global * cloud.dim)
-    operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
+
+    def product(x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.setArray(system.product(x.array_r.reshape(-1, cloud.dim)).ravel())
+
+    operator = PETSc.Mat().createPython((sizes, sizes), context=Shell(product), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
     null_space = PETSc.NullSpace().create(comm=cloud.comm)
@@ -145,7 +139,7 @@ def assembled(comm: Comm, sizes: tuple[int, int], entries: Entries, lifted: floa
     ``sizes`` are the number of own rows and that of all rows.
     """
     first = offset(comm, sizes[0])
-    owner = np.searchsorted(np.array(comm.allgather(first)), entries.rows, side="right") - 1
+    owner, _ = owners(comm, first, entries.rows)
     (rows, columns, values), _ = exchange(comm, owner, list(entries))
     own = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=sizes)
     own.sum_duplicates()

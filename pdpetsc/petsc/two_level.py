@@ -10,9 +10,10 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.near_inverse import Entries
 from pdpetsc.kernels.point_blocks import definite
-from pdpetsc.petsc.interface import Interface, InterfaceSmoother
+from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.scalar import assembled
+from pdpetsc.petsc.shell import Shell
 from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
@@ -172,7 +173,7 @@ class TwoLevel(Preconditioning):
         smoother.setFromOptions()
         self._nodes = nodes
         if self._interface is not None and smoother.getPC().getType() == "python":
-            smoother.getPC().setPythonContext(InterfaceSmoother(self._interface))
+            smoother.getPC().setPythonContext(Shell(self._interface.solve))
         self.bounded = smoother.getType() in BOUNDED
 
     @property

@@ -6,7 +6,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid, Cells
-from pdpetsc.discrete.communicator import exchange, total
+from pdpetsc.discrete.communicator import exchange, owners, total
 from pdpetsc.discrete.families import with_pairs
 from pdpetsc.kernels.background import (
     add_at,
@@ -184,8 +184,7 @@ class BackgroundElements(BackgroundGrid, Filler):
         self._across_slots = slots[len(keys) :].reshape(-1, width, width)
         self._block_rows, self._block_columns = found // n_nodes, found % n_nodes
         row, column = self.numbers[self._block_rows], self.numbers[self._block_columns]
-        firsts = np.array(comm.allgather(self.first), dtype=np.int64)
-        self._to = np.searchsorted(firsts, row, side="right") - 1
+        self._to, _ = owners(comm, self.first, row)
         (row, column), _ = exchange(comm, self._to, [row, column])
         keys = (row - self.first) * self.n_global + column
         # Rows of nodes without element: virtual unknowns of a cell whose sides no element crosses.

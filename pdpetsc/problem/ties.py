@@ -9,6 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import owners
 from pdpetsc.discrete.halo import Halo
 
 
@@ -75,9 +76,8 @@ class Ties:
             np.concatenate([part.coefficient for part in parts]),
         )
         rows, self._place = np.unique(self.all.row, return_inverse=True)
-        firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
-        owner = np.searchsorted(firsts, rows, side="right") - 1
-        self._halo = Halo(cloud.comm, cloud.n_owned, owner.astype(np.int32), (rows - firsts[owner]).astype(np.int32))
+        owner, there = owners(cloud.comm, cloud.first, rows)
+        self._halo = Halo(cloud.comm, cloud.n_owned, owner.astype(np.int32), there.astype(np.int32))
         self._sum_of = np.repeat(np.arange(len(self.all.axis)), np.diff(self.all.ptr))
         self.tied: Mask = np.zeros((cloud.n_rows, cloud.dim), dtype=bool)
         self.tied[self.all.particle, self.all.axis] = True

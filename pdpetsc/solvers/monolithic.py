@@ -10,6 +10,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.petsc.shell import Shell
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -139,7 +140,7 @@ class MonolithicSolver(StaticSolver):
                 mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
                 mat.setOption(PETSc.Mat.Option.SPD, mat is near or not steady)
         sizes = ((self._n_u, PETSc.DETERMINE), (self._n_T, PETSc.DETERMINE))
-        coupling = PETSc.Mat().createPython(sizes, context=_Coupling(self._forces_of), comm=self._comm)
+        coupling = PETSc.Mat().createPython(sizes, context=Shell(self._coupling), comm=self._comm)
         coupling.setUp()
         rows = [[[tangent.preconditioner, coupling], [None, one]] for one in (heat, heat if near is None else near)]
         whole, part = (PETSc.Mat().createNest(blocks, comm=self._comm) for blocks in rows)
@@ -217,19 +218,12 @@ class MonolithicSolver(StaticSolver):
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
         return np.isfinite(norm) and norm <= max(GOOD * self._first, floor)
 
+    def _coupling(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the change of internal forces with a change of the temperature."""
+        y.array = self._forces_of(np.array(x.array_r))
+
     @property
     def _tangent_solver(self) -> PETSc.KSP | None:
         """Return the solver of the displacement block; the temperature block has no negative pivots."""
         pc = self.snes.getKSP().getPC()
         return pc.getFieldSplitSubKSP()[1] if pc.getType() == "fieldsplit" else None
-
-
-class _Coupling:
-    """Provide the derivative of internal forces by temperature as a PETSc shell matrix."""
-
-    def __init__(self, product: Callable[[Float], Float]) -> None:
-        self._product = product
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute the product."""
-        y.array = self._product(np.array(x.array_r))

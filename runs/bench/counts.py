@@ -1,4 +1,8 @@
-"""Count what ranks exchange in one linear solve; ``performance_model.py`` runs it: counts.py n horizon."""
+"""Count what ranks exchange in one linear solve; ``performance_model.py`` runs it: counts.py n horizon [scene].
+
+``scene`` is intact, a lattice of n^3 particles; broken, the same with 2 % of the bonds broken; or tetrahedra, the cells
+of a mesh of n^3 shaken cubes with conforming weights.
+"""
 
 import contextlib
 import json
@@ -12,12 +16,14 @@ words = study.start("bench")
 
 from box import case  # noqa: E402
 from linear import solve  # noqa: E402
+from mesh import block_of  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
 from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
 from pdpetsc.discrete.halo import Halo  # noqa: E402
 from pdpetsc.running.build import make_cloud  # noqa: E402
 
+BROKEN = 0.02
 exchanges = []
 
 
@@ -37,14 +43,22 @@ def counting():
 
 def main():
     comm = world()
-    n, horizon = int(words[0]), float(words[1])
-    scene = case(dim=3, n=n, horizon=horizon)
-    halo = make_cloud(comm, scene).halo
+    n, horizon, kind = int(words[0]), float(words[1]), words[2] if len(words) > 2 else "intact"
+    broken = BROKEN if kind == "broken" else 0.0
+    if kind == "tetrahedra":
+        scene = block_of(kind, n, horizon, 0.2, "conforming")
+    else:
+        scene = case(dim=3, n=n, horizon=horizon, breakable=broken > 0.0)
+    cloud = make_cloud(comm, scene)
+    halo = cloud.halo
     PETSc.Log.begin()
-    found = solve(scene, "matfree", around=counting)
+    found = solve(scene, "matfree", broken, around=counting)
     iterations = max(found["linear_iterations"], 1)
     info = PETSc.Log.Event("KSPSolve").getPerfInfo()
     counted = {
+        "particles": found["particles"],
+        "imbalance": largest(comm, cloud.n_owned) * comm.size / found["particles"],
+        "linear_iterations": found["linear_iterations"],
         "ghosts": int(largest(comm, halo.n_ghost)),
         "neighbours": int(largest(comm, len(halo.sources))),
         "exchanges": len(exchanges) / iterations,

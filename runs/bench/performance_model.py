@@ -1,4 +1,4 @@
-"""Predict scaling to many ranks, and check its counts: python runs/bench/performance_model.py [n] [horizon].
+"""Predict scaling to many ranks, and check its counts: python runs/bench/performance_model.py [n] [horizon] [scene].
 
 The model, for a cube of n^3 particles on P ranks and one iteration of conjugate gradients without a matrix:
 
@@ -10,6 +10,8 @@ more exchanges, and the levels of GAMG below them add their own messages; R redu
 c_op and c_cycle, the seconds a particle of both, are measured on one rank. Ghosts, ranks they are from, exchanges and
 reductions are then counted on 2, 4 and 8 ranks and set beside the model's; alpha and beta are those of a usual network.
 Neither the imbalance of parts nor the direct solve on the coarsest level is in it.
+
+Of the scenes ``broken`` and ``tetrahedra`` (``counts.py``) it prints what is counted on 1 to 16 ranks only.
 """
 
 import json
@@ -65,9 +67,10 @@ def iteration(n, horizon, ranks, c_op, c_cycle):
     return work, messages * ALPHA, volume / BETA, REDUCTIONS * np.log2(max(ranks, 1)) * ALPHA
 
 
-def measured(n, horizon, ranks):
+def measured(n, horizon, ranks, scene="intact"):
     """Return what ``counts.py`` counts on some ranks."""
-    command = [str(COUNTS.parents[2] / ".ci" / "mpirun"), str(ranks), sys.executable, str(COUNTS), str(n), str(horizon)]
+    words = [str(ranks), sys.executable, str(COUNTS), str(n), str(horizon), scene]
+    command = [str(COUNTS.parents[2] / ".ci" / "mpirun"), *words]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
 
 
@@ -86,11 +89,26 @@ def table(title, sizes, horizon, c_op, c_cycle):
         )
 
 
+def counted_only(n, horizon, scene):
+    """Print what is counted on 1 to 16 ranks."""
+    print("ranks  particles  imbalance  ghosts of a rank  from ranks  iterations  exchanges, reductions an iteration")
+    for ranks in (1, 2, 4, 8, 16):
+        found = measured(n, horizon, ranks, scene)
+        print(
+            f"{ranks:5d} {found['particles']:10d} {found['imbalance']:10.2f} {found['ghosts']:17d} "
+            f"{found['neighbours']:11d} {found['linear_iterations']:11d} {found['exchanges']:11.1f} "
+            f"{found['reductions']:11.1f}"
+        )
+
+
 def main():
     # No MPI in this process: it starts others that have it.
     words = sys.argv[1:]
     n = int(words[0]) if words else 32
     horizon = float(words[1]) if len(words) > 1 else 3.015
+    if len(words) > 2:
+        counted_only(n, horizon, words[2])
+        return
     one = measured(n, horizon, 1)
     c_op, c_cycle = one["operator"] / n**3, one["cycle"] / n**3
     print(f"{n}^3 particles, horizon {horizon}: operator {1e6 * c_op:.2f} us, cycle {1e6 * c_cycle:.2f} us a particle")

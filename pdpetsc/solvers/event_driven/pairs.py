@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import exchange
+from pdpetsc.discrete.communicator import exchange, owners
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
 from pdpetsc.terms.bond_forces import BondForces
@@ -82,8 +82,7 @@ def make_pairs(term: BondForces) -> Pairs:
     k = np.bincount(of_bond, term.k, len(keys))
     # The owner of the ghost holds the other direction of a bond that leaves the rank.
     outward = np.flatnonzero(families.neighbours >= cloud.n_owned)
-    firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
-    owner = np.searchsorted(firsts, cloud.row[families.neighbours[outward]], side="right") - 1
+    owner, _ = owners(cloud.comm, cloud.first, cloud.row[families.neighbours[outward]])
     leaving = outward[owner != cloud.comm.rank]
     (their_keys, their_k), _ = exchange(
         cloud.comm, owner[owner != cloud.comm.rank], [of_bonds[leaving], term.k[leaving]]

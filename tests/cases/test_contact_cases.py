@@ -82,6 +82,7 @@ def test_unlike_blocks_pass_the_patch_test(words, tmp_path):
     assert found_blocks["pressure_error"] < 1e-7 and found_blocks["interface_error"] < 1e-7
 
 
+@pytest.mark.long
 def test_a_shrink_fit_converges_to_the_pressure_of_lame(tmp_path):
     coarse, fine = (
         found("shrink_fit", f"n={n}", output=tmp_path / str(n))["pressure_over_exact"] - 1.0 for n in (4, 8)

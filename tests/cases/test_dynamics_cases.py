@@ -57,6 +57,7 @@ def test_the_front_of_a_wave_has_the_speed_of_the_bar(tmp_path):
     assert wave["speed_over_exact"] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.long
 def test_a_crack_that_a_wave_hits_has_the_intensity_of_freund(tmp_path):
     crack = found("step_crack", "n=40", output=tmp_path)
     assert crack["K_over_exact"] == pytest.approx(1.0, abs=0.03)
@@ -85,6 +86,7 @@ def test_a_taylor_bar_has_the_length_and_the_foot_of_other_codes(tmp_path):
     assert 0.0062 < feet[-1] < 0.0072
 
 
+@pytest.mark.long
 def test_a_crack_in_glass_branches(tmp_path):
     crack = found("branching", "n=40", "end=60e-6", "records=60", output=tmp_path)
     assert crack["branched"] == 1.0
@@ -128,6 +130,7 @@ def test_a_ring_falls_into_pieces_whose_number_settles(tmp_path):
     assert 0.1e-3 < sizes[-1] < 0.2e-3
 
 
+@pytest.mark.long
 def test_a_clamped_bar_vibrates_with_the_frequency_of_timoshenko(tmp_path):
     plate = found("vibration", "dim=2", "n=8", output=tmp_path)
     assert plate["frequency_over_timoshenko"] == pytest.approx(1.0, abs=0.003)

@@ -26,6 +26,7 @@ def module_of(path):
     return module
 
 
+@pytest.mark.long
 def test_a_bar_without_a_waist_is_strained_uniformly(tmp_path):
     """Force and radius over the elongation are those of the law of one point up to the peak, where it may neck."""
     bar = module_of(NECKING)

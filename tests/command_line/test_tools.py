@@ -78,6 +78,7 @@ def test_plot_of_an_empty_folder_is_refused(tmp_path):
     assert "holds no summary.json" in called("plot", tmp_path).stderr
 
 
+@pytest.mark.long
 def test_compare_runs_every_combination_once(tmp_path):
     words = ("compare", CLAMPED, "scheme=correspondence,sub_horizons", "ny=3", "steps=1", "-o", tmp_path)
     finished = tool(*words)

@@ -253,6 +253,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
     assert 0.5 < h["over"].max() < 1.0
 
 
+@pytest.mark.long
 @pytest.mark.processors
 def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_failed(tmp_path):
     free = ~(pd.region.Slab("x", high=0.0) | pd.region.Slab("x", low=plate_with_hole.LENGTH))

@@ -53,8 +53,14 @@ def sides(folder):
     return [1 + (one != other) for one, other in ends], at
 
 
-@pytest.mark.parametrize("law", [pd.Brittle, pd.LinearSoftening])
-@pytest.mark.parametrize("gradients", [True, False])
+@pytest.mark.parametrize(
+    ("gradients", "law"),
+    [
+        (True, pd.Brittle),
+        (False, pd.LinearSoftening),
+        *(pytest.param(*two, marks=pytest.mark.long) for two in ((True, pd.LinearSoftening), (False, pd.Brittle))),
+    ],
+)
 def test_a_bar_of_two_materials_breaks_where_the_interface_is_weaker(gradients, law, tmp_path):
     changes = {}
     if gradients:
@@ -171,6 +177,7 @@ def case():
 """
 
 
+@pytest.mark.long
 def test_any_number_of_ranks_breaks_the_same_bonds_of_an_interface(tmp_path):
     path = tmp_path / "bar.py"
     path.write_text(CASE.format(root=str(ROOT)))

@@ -201,7 +201,10 @@ def bar(h_over_dx=3.015, strength=1.0, share=8.0, **changes):
     return pd.Case(**(declared | changes)), Gc
 
 
-@pytest.mark.parametrize("curve", CURVES)
+@pytest.mark.parametrize(
+    "curve",
+    [pytest.param(one, marks=[pytest.mark.long] if one in ("exponential", "bilinear") else []) for one in CURVES],
+)
 def test_a_bar_has_the_declared_strength(curve, tmp_path):
     """Small steps about the peak: the ends hold a uniform strain until the onset."""
     case, _ = bar()
@@ -330,6 +333,7 @@ def test_a_running_crack_takes_the_declared_energy(words, energy, J, tmp_path):
     assert abs(found["path_angle"]) < 5.0
 
 
+@pytest.mark.long
 def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
     """A bar in 2D torn across x: the energy of that direction, and it tears where it is weaker."""
     right, left = pd.region.Slab("x", low=16.0), pd.region.Slab("x", high=4.0)
@@ -702,6 +706,7 @@ def test_halves_whose_points_share_dilatations_take_the_rows_of_patches_that_are
     assert abs(h["force"][-1]) < 1e-6 * np.abs(h["force"]).max()
 
 
+@pytest.mark.long
 def test_a_nearly_incompressible_sheet_tears(tmp_path):
     patches = pd.MeanDilatation(pd.Correspondence(), 2.0)
     case = torn(

@@ -157,6 +157,7 @@ def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     assert any(noted in line for line in said)
 
 
+@pytest.mark.long
 def test_ranks_note_the_same_jumps(tmp_path):
     case = tmp_path / "plate.py"
     case.write_text("from tests.damage.test_ties import plate\n\n\ndef case():\n    return plate(pull=0.06)[0]\n")

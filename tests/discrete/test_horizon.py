@@ -476,6 +476,7 @@ def test_a_bond_of_one_end_across_ranks_joins_pieces_and_asks_for_one_ghost():
     script_on(2, ONE_WAY.format(root=str(ROOT)))
 
 
+@pytest.mark.long
 def test_a_graded_plate_with_a_hole_takes_few_particles(tmp_path):
     """The stress that the study compares with belongs to the displacement it compares with, and is in equilibrium."""
     lam, mu = pd.LinearElastic(kirsch.E, kirsch.NU).lame(2)

@@ -210,6 +210,7 @@ def test_criteria_that_reach_over_families_are_those_of_the_whole(kinematics):
     both_cracked("xy", material=material, damage=damage, steps=pd.Steps(4), least=0, pull=0.08, tolerance=1e-8)
 
 
+@pytest.mark.long
 def test_without_a_matrix_bonds_break_as_in_the_whole():
     options = {"pd_jacobian": "matfree", "ksp_rtol": 1e-12}
     damage = pd.LinearSoftening(pd.ConstantCritical(0.04), ratio=2.0)

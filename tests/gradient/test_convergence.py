@@ -87,6 +87,7 @@ def test_a_side_held_as_wide_as_the_horizon_keeps_the_order(method, tmp_path):
     assert order(sizes, errors(tmp_path, "manufactured", sizes, "held=2", *method)) > 1.8
 
 
+@pytest.mark.long
 def test_a_ring_of_irregular_triangles_converges_with_conforming_weights_only(tmp_path):
     sizes = (8, 16)
     conforming, standard = (

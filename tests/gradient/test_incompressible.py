@@ -269,6 +269,7 @@ def test_iterations_without_a_matrix_hardly_know_the_bulk_modulus(dim, monkeypat
     assert found[1] < 2.0 * found[0]
 
 
+@pytest.mark.long
 def test_a_finer_membrane_takes_at_most_twice_the_iterations_too(monkeypatch, tmp_path):
     case = load_case(ROOT / COOK)
     found = [iterations(case(n=24, nu=nu, method="patches_control"), monkeypatch, tmp_path) for nu in (0.3, 0.4999)]

@@ -425,6 +425,7 @@ def test_ranks_agree_on_fibres_by_place_and_on_what_is_wrong_on_one(tmp_path):
     assert together == pytest.approx(alone, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("test", ["uniaxial", "equibiaxial"])
 def test_rubber_has_the_stress_of_the_incompressible_law(test, tmp_path):
     """A sheet at stretch 5; the error of a finite bulk modulus falls as one over it."""

@@ -484,6 +484,7 @@ def test_a_body_in_another_unit_of_length_is_the_same_body(name, tmp_path):
     assert np.allclose(other["plastic"], one["plastic"], rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.long
 def test_steps_are_cut_where_plastic_strain_grows_by_too_much(tmp_path):
     case = load_case(ROOT / CASE)
     free = pd.run(case(), output=tmp_path).history["plastic"]

@@ -535,6 +535,7 @@ def torn_along_a_mirror_plane(folder, symmetry):
     return pd.run(case, folder)
 
 
+@pytest.mark.long
 def test_a_crack_along_a_mirror_plane_breaks_no_bond_beside_it(tmp_path):
     half = torn_along_a_mirror_plane(tmp_path / "half", True)
     whole = torn_along_a_mirror_plane(tmp_path / "whole", False)

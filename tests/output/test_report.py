@@ -123,6 +123,7 @@ def test_a_browser_shows_the_report_without_a_network(reported, tmp_path):
     assert green > 500 and (np.ptp(pixels, axis=-1) > 60).sum() > 30_000
 
 
+@pytest.mark.long
 def test_a_run_that_fails_or_is_off_has_a_report_too(reported, tmp_path):
     case = reported.parent / "bar.py"
     finished = run(case, "strain=1.0", "-snes_max_it", "1", "--report", output=tmp_path / "failed")

@@ -326,6 +326,7 @@ def test_a_field_of_the_case_keeps_the_name_of_a_component(tmp_path):
     assert text.count('Name="stress_xx"') == 2  # once in each of two steps
 
 
+@pytest.mark.long
 def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
     pyvista = pytest.importorskip("pyvista")
     (tmp_path / "case.py").write_text(NAMES)

@@ -31,6 +31,7 @@ def affine(model, rng):
     return np.ascontiguousarray(model.cloud.x[:n] @ rng.standard_normal((model.dim, model.dim)))
 
 
+@pytest.mark.long
 def test_nearest_neighbours_have_the_energy_of_the_body_in_every_uniform_deformation(rng):
     """Whatever the scheme, control or bonds, at any displacement: what makes long waves alike."""
     free = [(label, model) for label, model in bond_bodies(rng) if "free" in label]

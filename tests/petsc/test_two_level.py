@@ -177,7 +177,12 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+SECOND = ("horizon of two", "horizon of five", "state-based", "slender", "large strain", "mirrored")
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.long] if kind in SECOND else []) for kind in KINDS]
+)
 def test_iterations_are_few_and_the_answer_that_of_the_direct_solver(kind, tmp_path):
     case, most = KINDS[kind]
     assert both(case, tmp_path) <= most
@@ -221,6 +226,7 @@ def test_iterations_do_not_depend_on_units(tmp_path):
     assert len(set(counts.values())) == 1
 
 
+@pytest.mark.long
 def test_iterations_hardly_grow_with_the_body(tmp_path):
     small, large = (solved(box(2, n), tmp_path / str(n), FREE)[1] for n in (20, 80))
     assert large <= 1.2 * small
@@ -255,6 +261,7 @@ def test_both_levels_follow_options(options, tmp_path):
     assert both(box(2, 24), tmp_path, options) <= 24
 
 
+@pytest.mark.long
 def test_cycles_of_several_steps_take_under_sixty_iterations_where_nearly_incompressible(tmp_path):
     cycles = {
         "pc_mg_type": "multiplicative",

@@ -64,7 +64,7 @@ def test_the_explicit_derivative_is_that_of_the_energy_at_constant_deformation(l
     softens = {"factor": lambda T: 1.0 / (1.0 + 0.1 * T**2)} if free else {}
     material = pd.Thermal(base, expansion, **softens, **kept)
     found = explicit_derivative(pulled(lambda x, t: 1.0 + x @ SLOPE, material))
-    inner = np.flatnonzero(np.abs(pulled(1.0, material).x).max(axis=1) < 0.3)
+    inner = np.flatnonzero(np.abs(pulled(1.0, material).x).max(axis=1) < 0.3)[::3]
     x = pulled(1.0, material).x[inner]
     for i, place in zip(inner, x, strict=True):
         T, d = 1.0 + place @ SLOPE, 1e-4

@@ -133,6 +133,7 @@ def test_petsc_finds_its_jacobian_correct_on_two_ranks(tmp_path):
         assert np.abs(one - two).max() <= 1e-8 * np.abs(one).max(), name
 
 
+@pytest.mark.long
 def test_it_goes_on_from_its_checkpoint_on_other_ranks(tmp_path):
     """Stopped while it is unloaded: what it remembers decides how it goes on."""
     words = {"scheme": "nearest", "shear": 0.3}

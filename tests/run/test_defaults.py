@@ -82,6 +82,7 @@ def off(result):
     return (np.linalg.norm(x + u, axis=1)[inner].mean() - R.min()) / (exact - R.min()) - 1.0
 
 
+@pytest.mark.long
 def test_an_inflated_tube_of_rubber_does_not_lock_by_default(tmp_path, caplog):
     caplog.set_level("INFO")
     default = pd.run(tube(4), tmp_path / "default")

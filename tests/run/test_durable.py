@@ -132,6 +132,7 @@ def test_steps_solver_and_records_may_differ(tmp_path):
     assert json.loads((tmp_path / "rest" / "summary.json").read_text())["status"] == "converged"
 
 
+@pytest.mark.long
 def test_the_command_line_refuses_another_load_and_goes_on_anyway(scene, tmp_path):
     with pytest.raises(pd.Interrupted):
         pd.run(stopped(0.5), output=tmp_path / "part")
@@ -463,6 +464,7 @@ def test_no_write_that_fails_costs_what_is_done_on_two_ranks(how, n, failing_wri
     assert np.allclose(field(whole, "displacement"), field(place, "displacement"), atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp_path):
     """With HDF5's own locks, as ParaView opens them, from before the first step to after the last."""
     place = tmp_path / "out"
@@ -491,17 +493,17 @@ def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp
     assert finished.returncode == 0, finished.stderr
 
 
-def test_a_torn_row_costs_itself_only(tmp_path):
+@pytest.mark.parametrize("torn", ["history.csv", pytest.param("broken_bonds.csv", marks=pytest.mark.long)])
+def test_a_torn_row_costs_itself_only(torn, tmp_path):
     pd.run(strip(), output=tmp_path / "whole")
-    for family_strain in ("history.csv", "broken_bonds.csv"):
-        place = tmp_path / family_strain
-        with pytest.raises(pd.Interrupted):
-            pd.run(stopped(0.9), output=place)
-        with (place / family_strain).open("a") as file:
-            file.write("3,0.99")
-        pd.run(strip(), output=place, restart=place)
-        for name in ("history.csv", "broken_bonds.csv"):
-            assert (place / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    place = tmp_path / "torn"
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.9), output=place)
+    with (place / torn).open("a") as file:
+        file.write("3,0.99")
+    pd.run(strip(), output=place, restart=place)
+    for name in ("history.csv", "broken_bonds.csv"):
+        assert (place / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 def test_rows_are_taken_up_to_the_first_that_is_not_whole():
@@ -830,6 +832,7 @@ def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_
                 assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), (step, name)
 
 
+@pytest.mark.long
 def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
     """They are those with the bonds as they were, not as they are after the next step."""
     for name, history_ in (("whole", strip().history), ("bare", {"work": pd.ExternalWork()})):
@@ -917,6 +920,7 @@ class Judged(pd.Quantity):
         return ""
 
 
+@pytest.mark.long
 def test_a_diagnostic_that_fails_costs_nothing_that_is_computed(tmp_path):
     pd.run(strip(), output=tmp_path / "whole")
     judged = Judged()
@@ -934,6 +938,7 @@ def test_a_diagnostic_that_fails_costs_nothing_that_is_computed(tmp_path):
 # What stays in the folder.
 
 
+@pytest.mark.long
 def test_a_restart_with_other_columns_keeps_the_earlier_table(tmp_path):
     with pytest.raises(pd.Interrupted):
         pd.run(stopped(0.5), output=tmp_path)

@@ -118,6 +118,7 @@ def test_an_array_runs_a_line_of_parameters_in_each_task(tmp_path):
     assert "has no line 3" in finished.stderr
 
 
+@pytest.mark.long
 def test_a_chain_goes_on_where_time_ran_out(tmp_path):
     case = tmp_path / "chained.py"
     case.write_text(OUT_OF_TIME.format(folder=str(ROOT / "runs" / "beams")))

@@ -333,6 +333,7 @@ def test_run_raises_in_python_and_never_ends_the_process(case):
 # Options: whose they are, and what becomes of those that are wrong.
 
 
+@pytest.mark.long
 def test_files_of_options_lying_about_are_not_read(case):
     (case.parent / ".petscrc").write_text("-snes_max_it 1\n-snes_rtol 1e-30\n")
     code, said, _, found = ended(case, HOME=str(case.parent), PETSC_OPTIONS="-snes_atol 1e-30")

@@ -75,6 +75,7 @@ def test_tension_raises_a_frequency_and_compression_beyond_buckling_makes_it_neg
     assert pressed < 0.0
 
 
+@pytest.mark.long
 def test_units_and_ranks_change_nothing(tmp_path):
     one = pd.run(bar(2), tmp_path / "one")
     other = pd.run(bar(2, 1e15, 1e-10, 1e-20), tmp_path / "other")

@@ -14,6 +14,7 @@ from tests.commands import ROOT, results
 ARCH = "runs/stability/arch.py"
 
 
+@pytest.mark.long
 def test_an_arch_snaps_through(tmp_path):
     """The load rises to a limit, falls and rises again, as that of a shallow arch; 1 and 2 ranks."""
     one, two = (

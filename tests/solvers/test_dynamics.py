@@ -322,7 +322,7 @@ def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
     assert w * (1.0 - 1e-9) <= found <= w * (1.0 + 3e-3)
 
 
-@pytest.mark.parametrize("explicit", [True, False])
+@pytest.mark.parametrize("explicit", [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize("dim", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_wave_leaves_through_an_absorbing_boundary(explicit, dim, tmp_path):
     """A smooth pulse runs to the right; of its energy less than one in a thousand comes back."""

@@ -229,6 +229,7 @@ def test_a_step_whose_energy_comes_from_nowhere_does_not_count(times, tmp_path):
         pd.run(case, output=tmp_path)
 
 
+@pytest.mark.long
 def test_dissipation_follows_a_snap_back_of_failing_points(tmp_path):
     """A bar stores more at its peak than its crack takes: its end must go back for the load to fall."""
     n, Gc = 60, 0.1

@@ -587,6 +587,7 @@ def test_a_study_goes_on_and_runs_again_what_is_not_the_same(tmp_path):
         pd.study(case, [{"n": 4, "end": "refused"}], out)
 
 
+@pytest.mark.long
 def test_what_is_asked_for_and_is_not_there_is_refused_before_anything_is_written(tmp_path):
     case, out = scene(tmp_path), tmp_path / "out"
     for words, message in (

@@ -331,6 +331,7 @@ def test_a_cylinder_presses_as_hertz_says(tmp_path):
     assert found["pressure_error"] < 0.03
 
 
+@pytest.mark.long
 def test_a_tool_does_not_pass_through_in_one_step(tmp_path):
     """A thin jaw that would lie below the surface at the end of a step, which is halved until it meets the surface."""
     jaw = pd.RigidBox((0.5, 1.0), (1.5, 1.05), move=(0.0, -0.3))

@@ -72,6 +72,7 @@ def test_areas_follow_a_uniform_deformation(dim, nodes, rng):
     np.testing.assert_allclose(found, -20.0 * np.linalg.det(F) * np.linalg.solve(F.T, A), rtol=1e-10)
 
 
+@pytest.mark.long
 def test_a_ring_is_inflated_to_twice_its_radius(tmp_path):
     """Against the radial equilibrium of the same law: second order in the spacing."""
     command = ["runs/convergence/inflation.py", "follower=yes", "pressure=0.21", "steps=4", "mesh=quads"]
@@ -80,6 +81,7 @@ def test_a_ring_is_inflated_to_twice_its_radius(tmp_path):
     assert fine["error_u"] < 0.3 * coarse["error_u"]
 
 
+@pytest.mark.long
 def test_units_and_ranks_change_nothing(tmp_path):
     one = pd.run(scene(2), tmp_path / "one").history
     other = pd.run(scene(2, unit=1e20, modulus=1e-20), tmp_path / "other").history

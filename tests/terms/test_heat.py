@@ -237,6 +237,7 @@ def quenched(folder, force=1.0, length=1.0, time=1.0, degree=1.0, restart=None, 
     return pd.run(case, output=folder, restart=restart, options=options)
 
 
+@pytest.mark.long
 def test_quenching_in_other_units_after_a_restart_and_without_a_matrix(tmp_path):
     whole = quenched(tmp_path / "whole")
     assert 100.0 < whole.history["T"][-1] < 290.0

@@ -73,6 +73,7 @@ def case():
 """
 
 
+@pytest.mark.long
 def test_a_cantilever_of_two_lattices_bends_as_one(tmp_path):
     """The force on the left part is that at its end; the deflection is that of a bar of one lattice, on any ranks."""
     path = tmp_path / "bent.py"
@@ -113,6 +114,7 @@ JOINTS = {
 }
 
 
+@pytest.mark.long
 def test_stiff_springs_cost_no_iterations_without_a_matrix(tmp_path):
     """A tie is a thousand times, and contact ten times, as stiff as the body between two particles."""
 

@@ -396,10 +396,14 @@ class Explicit(DeclaredSolver):
         it is found by dynamic relaxation.
     records : int
         Number of records in history and files, at equal times.
+    least_step : float, optional
+        Stable time step of the undeformed body [time], for which stiff and light particles get more mass:
+        ``m_i = max(rho V_i, c k_i)`` with the mean ``k_i`` of the diagonal of the tangent and one ``c`` for the body.
+        The log states the added mass. For slow processes and a few small particles; waves slow down.
 
     References
     ----------
-    Hughes1987, section 9.1 (central differences).
+    Hughes1987, section 9.1 (central differences). Olovsson2005 (added mass).
 
     Examples
     --------
@@ -411,6 +415,7 @@ class Explicit(DeclaredSolver):
     safety: Fraction = 0.9
     preload: bool = field(default=False, kw_only=True)
     records: Count = field(default=100, kw_only=True)
+    least_step: Positive | None = field(default=None, kw_only=True)
 
     title = "Explicit dynamics"
     needs = Needs(tangent="none")

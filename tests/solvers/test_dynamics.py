@@ -10,7 +10,7 @@ import scipy
 import pdpetsc as pd
 from pdpetsc.declare import region
 from pdpetsc.solvers.dynamics import stable_step
-from tests.commands import results
+from tests.commands import Stop, results
 
 E, RHO, LENGTH = 200.0, 2.0, 1.0
 SPEED = np.sqrt(E / RHO)
@@ -508,3 +508,73 @@ def test_a_body_that_heats_up_moves(tmp_path):
     history = pd.run(bar(pd.Explicit(end=10 * PERIOD), law=steel, conditions=heated), tmp_path).history
     assert history["tip"][-1] == pytest.approx(0.01, rel=0.05)
     assert set(history["error"]) == {0.0}
+
+
+def graded(least_step=None, unit=1.0, end=4.0, **changes):
+    """Return a bar whose right half has half the spacing, pulled slowly at its end, with mass-proportional damping."""
+    coarse, fine = np.arange(20) + 0.5, 20.0 + 0.5 * np.arange(40) + 0.25
+    x = unit * np.concatenate([coarse, fine])[:, None]
+    sizes = unit * np.concatenate([np.ones(20), np.full(40, 0.5)])
+    case = pd.Case(
+        particles=pd.Arrays(x, sizes),
+        horizon=pd.Horizon(2.015),
+        material=pd.LinearElastic(E=1.0, nu=0.0, density=1.0),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=2.0 * unit), x=0.0),
+            pd.Displacement(
+                pd.region.Slab("x", low=39.0 * unit), x=lambda x, t: 0.1 * unit * t**2 * (3.0 - 2.0 * t) + 0.0 * x[:, 0]
+            ),
+            pd.RayleighDamping(mass=0.05 / unit),
+        ],
+        solver=pd.Explicit(end=end * 100.0 * unit, records=4, least_step=least_step),
+        fields=[],
+    )
+    return dataclasses.replace(case, **changes)
+
+
+def first_step(case):
+    """Return time step, masses and description of the solver of a case."""
+    prepared = pd.prepare(case)
+    solver = prepared.make_solver()
+    problem = prepared.problem
+    state = problem.state(np.zeros(problem.supports.fixed.shape))
+    frequency = stable_step.largest_frequency(problem, state, problem.inertia.mass)
+    return 2.0 * case.solver.safety / frequency, problem.inertia.mass.copy(), solver.description()
+
+
+def test_mass_is_added_where_the_time_step_is_too_short():
+    dt, mass, said = first_step(graded())
+    assert "added" not in said
+    # Less than the stable step: nothing is added. The bound with one factor for the body is not far above the step.
+    same, as_it_is, said = first_step(graded(least_step=0.7 * dt))
+    assert same == dt and np.array_equal(as_it_is, mass) and "0 % of the mass added" in said
+    longer, more, said = first_step(graded(least_step=1.5 * dt))
+    assert 1.5 * dt * (1.0 - 1e-2) <= longer <= 1.8 * dt
+    assert np.array_equal(more[:18], mass[:18])
+    assert np.all(more[24:58] > 1.2 * mass[24:58])
+    assert f"{100.0 * (more.sum() / mass.sum() - 1.0):.3g} % of the mass added" in said
+    for unit in (1e-6, 1e6):
+        other, scaled, _ = first_step(graded(least_step=1.5 * dt * unit, unit=unit))
+        assert other == pytest.approx(unit * longer, rel=1e-6)
+        np.testing.assert_allclose(scaled, unit * more, rtol=1e-6)
+
+
+def test_a_slow_process_is_the_same_with_added_mass_in_fewer_steps(tmp_path):
+    dt, _, _ = first_step(graded())
+    static = graded(solver=pd.Newton(), conditions=graded().conditions[:2])
+    exact = pd.run(static, tmp_path / "static").solution.u
+    counts = []
+    for name, least in (("as it is", None), ("added", 1.5 * dt)):
+        run = pd.run(graded(least_step=least, end=20.0), tmp_path / name)
+        assert np.abs(run.solution.u - exact).max() < 1e-3 * np.abs(exact).max(), name
+        counts.append(sum(step["time step_iterations"] for step in run.summary["steps"]))
+    assert counts[1] < 0.7 * counts[0]
+
+
+def test_added_mass_is_the_same_after_a_restart(tmp_path):
+    case = graded(least_step=1.0)
+    whole = pd.run(case, tmp_path / "whole").solution.u
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(case, history={"stop": Stop(0.5)}), tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half", restart_anyway=True).solution.u
+    assert np.array_equal(whole, again)

@@ -10,6 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import DynamicRelaxation, Explicit
 from pdpetsc.declare.steps import Steps
+from pdpetsc.discrete.communicator import largest as largest_of
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem, Tangent
@@ -34,6 +35,8 @@ ALL = 2**62
 CHECKED = 20
 # Rounding of a number of time steps.
 ROUNDED = 1e-12
+# Smallest stiffness of a particle over the largest, where mass is added.
+SOFTEST = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
 FIRST = 1e-6
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
@@ -72,6 +75,7 @@ class ExplicitSolver(Solver):
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
         self._steps = 0
+        self._added = 0.0 if declared.least_step is None else self._add_mass(declared.least_step)
         self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
         # Tangent of the undeformed body, for damping proportional to it.
         self._resistance: Tangent | None = None
@@ -94,7 +98,8 @@ class ExplicitSolver(Solver):
 
     def description(self) -> str:
         """Return a short description of the solver."""
-        return f"central differences, {self._declared.safety:g} of the stable time step"
+        added = f", {100.0 * self._added:.3g} % of the mass added" if self._declared.least_step is not None else ""
+        return f"central differences, {self._declared.safety:g} of the stable time step{added}"
 
     def destroy(self) -> None:
         """Do nothing: there is no memory outside Python."""
@@ -217,6 +222,23 @@ class ExplicitSolver(Solver):
     def _count(self, span: float, dt: float) -> int:
         """Return the number of time steps of at most ``dt`` over a span of the step time."""
         return max(1, math.ceil(span * self._declared.end / dt * (1.0 - ROUNDED)))
+
+    def _add_mass(self, dt: float) -> float:
+        """Raise masses until the time step of the undeformed body is ``dt``; return the added mass over that before.
+
+        With masses ``c k_i`` the largest frequency is that of the tangent relative to ``k_i`` over ``sqrt(c)``, and
+        more mass only lowers it.
+        """
+        problem, inertia, comm = self._problem, self._inertia, self._problem.body.cloud.comm
+        rest = problem.state(np.zeros(problem.supports.fixed.shape), 0.0)
+        k = np.trace(problem.stiffest(rest).point_blocks(), axis1=1, axis2=2) / problem.dim
+        k = np.maximum(k, SOFTEST * largest_of(comm, float(k.max(initial=0.0))))
+        half = 0.5 * dt / self._declared.safety
+        square = 1.0 / (half**2 + half * inertia.damping_time)
+        needed = k * largest_frequency(problem, rest, k) ** 2 / square
+        before = float(total(comm, inertia.mass.sum()))
+        inertia.mass = np.maximum(inertia.mass, needed)
+        return float(total(comm, inertia.mass.sum())) / before - 1.0
 
     def _frequency(self, u: Float, t: float) -> float:
         return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)

@@ -73,6 +73,7 @@ from pdpetsc.declare.solvers import (
     Newton,
     Opening,
     PathFollowing,
+    SnapThrough,
 )
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.supports import Clamp, Foundation, PointSupport, RigidRegion, Roller
@@ -275,6 +276,7 @@ __all__ = [
     "RunError",
     "Segment",
     "SmoothDegradation",
+    "SnapThrough",
     "Solution",
     "SolveError",
     "State",

@@ -377,6 +377,45 @@ class Implicit(DeclaredSolver):
 
 
 @dataclass(frozen=True)
+class SnapThrough(DeclaredSolver):
+    """Load steps by Newton's method; the smallest step without equilibrium goes on as a motion until the body rests.
+
+    Beyond a limit point of the load the body snaps to another equilibrium. From the last one it moves with inertia
+    under constant conditions, those of the end of the step, by the steps of ``Implicit``. When kinetic energy and
+    inertia forces have become small, Newton's method seeks the equilibrium there; the next load steps start from it.
+    All materials have a ``density``; ``RayleighDamping(mass=...)`` and ``AbsorbingBoundary`` act while the body moves.
+    The equilibrium on which a body ends that swings past several depends on the damping.
+
+    Parameters
+    ----------
+    dt : float
+        Largest time step of a motion [time].
+    end : float
+        Longest time of a motion [time]; the run ends with an error if the body has not come to rest.
+    radius : float
+        Spectral radius at infinite frequency [-]: with 0 motions are damped that a time step does not resolve.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver, steps = pd.SnapThrough(dt=1e-3, end=1.0), pd.Steps(20, smallest=1e-3)
+    """
+
+    dt: Positive
+    end: Positive
+    radius: float = 0.0
+
+    title = "Load steps with snaps"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 <= self.radius <= 1.0:
+            raise CaseError(f"SnapThrough takes a radius from 0 to 1, not {self.radius:g}.")
+        if self.dt > self.end:
+            raise CaseError(f"SnapThrough moves for at most {self.end:g} in steps of {self.dt:g}; take a smaller dt.")
+
+
+@dataclass(frozen=True)
 class Explicit(DeclaredSolver):
     """Motion with inertia by central differences (velocity Verlet), without a matrix.
 
@@ -432,7 +471,9 @@ class Explicit(DeclaredSolver):
 
 
 # Solvers that a case accepts; messages name the classes of this module.
-AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | Implicit | Explicit | DeclaredSolver
+AnySolver: TypeAlias = (
+    Newton | DynamicRelaxation | EventDriven | PathFollowing | Implicit | Explicit | SnapThrough | DeclaredSolver
+)
 
 # Every solver with its default options, by its word on the command line.
 SOLVERS: dict[str, DeclaredSolver] = {

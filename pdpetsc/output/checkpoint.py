@@ -128,7 +128,8 @@ class Checkpoints(Observer):
     def end(self) -> None:
         """Write the checkpoint of the last step, unless it is there or not wanted, or a motion is beyond it."""
         problem, last = self.observed.problem, self.observed.last
-        beyond = problem.inertia is not None and problem.converged != last.t
+        moves = problem.inertia is not None or problem.snap_inertia is not None
+        beyond = moves and problem.converged != last.t
         if self._every > 0 and self._saved != last.step and not beyond:
             self._write(self.observed.last)
 

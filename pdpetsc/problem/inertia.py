@@ -84,6 +84,9 @@ class Inertia(Term):
         Constants of the step; set by the solver.
     active : bool
         If False, the term adds nothing: the body is in equilibrium before it moves.
+    step : float or None
+        Time since the last converged step in a motion at constant load [time]; None if the load parameter determines
+        it.
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
 
@@ -107,6 +110,7 @@ class Inertia(Term):
         self._free = ~held[:n]
         self._t, self._dt = 0.0, 0.0
         self.active, self.error = True, 0.0
+        self.step: float | None = None
         self.begin = np.zeros((n, dim))
 
     @property
@@ -116,10 +120,21 @@ class Inertia(Term):
 
     def step_to(self, t: float) -> None:
         """Prepare a step to load parameter ``t``, which changes the tangent if its size is another (not collective)."""
-        dt = (t - self._t) * self._duration
+        self._take_step((t - self._t) * self._duration)
+
+    def step_by(self, dt: float) -> None:
+        """Prepare a step of the size ``dt`` [time] at constant load (not collective)."""
+        self.step = dt
+        self._take_step(dt)
+
+    def _take_step(self, dt: float) -> None:
         if abs(dt - self._dt) > SAME_STEP * dt:
             self._dt = dt
             self.version += 1
+
+    def _elapsed(self, t: float) -> float:
+        """Return the time since the last converged step."""
+        return (t - self._t) * self._duration if self.step is None else self.step
 
     def place(self, u: Float, v: Float, a: Float, t: float) -> None:
         """Set displacement, velocity and acceleration (n_owned, dim) at load parameter ``t`` (not collective)."""
@@ -127,7 +142,7 @@ class Inertia(Term):
 
     def motion(self, state: State) -> tuple[Float, Float]:
         """Return velocity and acceleration (n_owned, dim) at the end of a step, or of the last one (not collective)."""
-        dt = (state.t - self._t) * self._duration
+        dt = self._elapsed(state.t)
         if dt <= 0.0:
             return self.v, self.a
         beta, gamma = self.blend.beta, self.blend.gamma
@@ -139,7 +154,7 @@ class Inertia(Term):
 
     def ahead(self, t: float) -> Float:
         """Return the displacements of the free components if the acceleration remains (n_owned, dim) [length]."""
-        dt = (t - self._t) * self._duration
+        dt = self._elapsed(t)
         return np.asarray(self.u + dt * self.v + 0.5 * dt**2 * self.a)
 
     def inertial(self, state: State) -> Float:
@@ -185,7 +200,7 @@ class Inertia(Term):
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return ``M (1 - alpha_m) / ((1 - alpha_f) beta dt^2) + C gamma / (beta dt)``."""
-        blend, dt = self.blend, (state.t - self._t) * self._duration
+        blend, dt = self.blend, self._elapsed(state.t)
         if dt <= 0.0 or not self.active:
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
@@ -210,9 +225,11 @@ class Inertia(Term):
 
     def commit(self, state: State) -> None:
         """Store the motion at the end of the step."""
-        if state.t > self._t:
+        if self._elapsed(state.t) > 0.0:
             v, a = self.motion(state)
             self.place(state.own, v, a, state.t)
+            if self.step is not None:
+                self.step = 0.0
 
     @property
     def has_history(self) -> bool:

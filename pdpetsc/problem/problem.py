@@ -51,6 +51,8 @@ class Problem:
         Term with the springs on loose particles, which solvers move; None if bonds cannot fail.
     inertia : Inertia or None
         Term with masses and velocities; None for equilibria.
+    snap_inertia : Inertia or None
+        Inertia of motions between equilibria; None for solvers without such motions.
     fields : list of SolvedField
         Fields that are solved for besides the displacement, at most one.
     last_step : LastStep or None
@@ -82,6 +84,7 @@ class Problem:
         self.bond_damage: Damage | None = None if damage is None else damage.of_bonds
         self.springs: LooseSprings | None = None
         self.inertia: Inertia | None = None
+        self.snap_inertia: Inertia | None = None
         self.fields: list[SolvedField] = []
         # Cells, expansion and damage do not continue as in the last step.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual

@@ -23,7 +23,7 @@ from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
-from pdpetsc.declare.solvers import Implicit
+from pdpetsc.declare.solvers import Implicit, SnapThrough
 from pdpetsc.declare.steps import Steps
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
@@ -363,8 +363,10 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         problem.inertia = _inertia(case, problem, materials, applied)
         problem.terms.append(problem.inertia)
         return problem
-    if applied.moves:
-        raise CaseError(f"{applied.moves} needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
+    if isinstance(case.solver, SnapThrough):
+        problem.snap_inertia = _inertia(case, problem, materials, applied)
+    if moves := applied.moves or (applied.damps if problem.snap_inertia is None else ""):
+        raise CaseError(f"{moves} needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
     if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
@@ -377,7 +379,7 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
     if density is None:
         lacking = next(one for one in materials.materials if one.density is None)
         raise CaseError(f"{title} needs the density of each material, and {type(lacking).__name__} has none. Give it.")
-    if case.steps != Steps():
+    if case.solver.duration is not None and case.steps != Steps():
         raise CaseError(f"{title} has time steps of its own. Leave steps out.")
     strained = int(total(cloud.comm, np.count_nonzero(~problem.supports.fixed[cloud.n_owned :])))
     if case.heat is not None or problem.supports.ties is not None or strained:
@@ -385,10 +387,11 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
             f"{title} does not go with heat conduction, PointSupport, an inclined Roller or a cell of unknown strain. "
             f"Use Newton."
         )
-    if applied.damping_time and isinstance(case.solver, Implicit):
-        raise CaseError(
-            "Implicit damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out."
-        )
+    if applied.damping_time and isinstance(case.solver, Implicit | SnapThrough):
+        name = type(case.solver).__name__
+        raise CaseError(f"{name} damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out.")
+    if isinstance(case.solver, SnapThrough) and problem.material_term.timed:
+        raise CaseError("SnapThrough does not go with materials that depend on the rate. Use Implicit.")
     n, damper = cloud.n_owned, None
     mass = density * cloud.volume[:n]
     start = np.zeros((n, cloud.dim)) if applied.velocity is None else applied.velocity

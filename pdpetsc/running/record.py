@@ -147,6 +147,7 @@ def _of_attempt(result: StepResult, unit: str) -> dict[str, Any]:
         "reference": result.reference,
         "negative_pivots": result.negative_pivots,
         **({"growth": result.growth} if result.growth else {}),
+        **({"moved": result.moved} if result.moved else {}),
         f"{unit.lower()}_iterations": result.iterations,
         "linear_iterations": result.linear_iterations,
     }

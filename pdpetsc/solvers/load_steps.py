@@ -76,7 +76,7 @@ def load_steps(
     solve by Newton lets them.
 
     A failed step is halved and restarts from the last converged state. After an easy step the size grows by half, up to
-    the largest.
+    the largest. Solvers with inertia (``moved_to_rest``) continue the smallest step as a motion.
 
     Raises
     ------
@@ -141,7 +141,13 @@ def load_steps(
         failures.append(result)
         dt = 0.5 * (target - t)
         on_failure(t, dt, result)
-        if dt < steps.least:
+        if dt < steps.least and (moved := solver.moved_to_rest(u, target)) is not None:
+            u, result, broken, sweeps = moved
+            t, dt = target, steps.first
+            solver.problem.commit(solver.state(u))
+            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
+            failures = []
+        elif dt < steps.least:
             last = result.norms[-1] if result.norms else float("nan")
             raise SolveError(
                 f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "

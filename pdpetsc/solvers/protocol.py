@@ -42,6 +42,8 @@ class StepResult:
     growth : float
         After damage has settled in sweeps, the factor by which a deviation from the equilibrium grows from one sweep to
         the next [-]. Above 1, other branches of equilibria exist, and round-off may decide which branch a run follows.
+    moved : float
+        Time of a motion that led to the equilibrium [time].
     """
 
     converged: bool
@@ -53,6 +55,7 @@ class StepResult:
     easy: bool = True
     negative_pivots: int | None = None
     growth: float = 0.0
+    moved: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -252,6 +255,7 @@ class Solver(ABC):
             f"residual {last:.1e}"
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
             f"{f', unstable equilibrium ({pivots})' if negative else ''}"
+            f"{f', moved for {result.moved:.3g} to rest' if result.moved else ''}"
             f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
             f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
             f"{f', not unique (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
@@ -321,6 +325,21 @@ class StepSolver(Solver):
     def growth(self, u: Float) -> float:
         """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if unknown (collective)."""
         return 0.0
+
+    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
+        """Find the equilibrium at load parameter ``t`` to which the body moves from ``u`` if the step has none.
+
+        Return unknowns, outcome, broken bonds and sweeps; None for solvers without inertia. Histories on the way are
+        committed (collective).
+
+        Raises
+        ------
+        SolveError
+            The body does not come to rest.
+        Interrupted
+            A signal requested a stop.
+        """
+        return None
 
     @contextmanager
     def loosely(self) -> Iterator[None]:

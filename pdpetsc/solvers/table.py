@@ -12,12 +12,14 @@ from pdpetsc.declare.solvers import (
     Implicit,
     Newton,
     PathFollowing,
+    SnapThrough,
 )
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
 from pdpetsc.solvers.dynamics.explicit import ExplicitSolver
 from pdpetsc.solvers.dynamics.implicit import ImplicitSolver
+from pdpetsc.solvers.dynamics.snap import SnapSolver
 from pdpetsc.solvers.monolithic import MonolithicSolver
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
@@ -31,6 +33,7 @@ IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     PathFollowing: PathSolver,
     Implicit: ImplicitSolver,
     Explicit: ExplicitSolver,
+    SnapThrough: SnapSolver,
 }
 # Solver for monolithic coupling with the temperature, by the solver of displacements alone.
 MONOLITHIC: dict[type[Solver], type[Solver]] = {StaticSolver: MonolithicSolver}

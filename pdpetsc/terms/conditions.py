@@ -154,11 +154,14 @@ class Applied:
 
     @property
     def moves(self) -> str:
-        """Return the name of a condition that requires inertia; an empty name if no condition does (not collective)."""
+        """Return the name of a condition that sets the body in motion; an empty name if none does (not collective)."""
         if self.velocity is not None:
             return "InitialVelocity"
-        if self._driven:
-            return "Velocity"
+        return "Velocity" if self._driven else ""
+
+    @property
+    def damps(self) -> str:
+        """Return the name of a condition that damps a motion; an empty name if there is none (not collective)."""
         if self.damping_rate is not None:
             return "RayleighDamping"
         return "" if self.absorbing is None else "AbsorbingBoundary"

@@ -1,0 +1,285 @@
+"""Load steps, of which one without equilibrium goes on as a motion until the body is at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import SnapThrough
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.errors import Interrupted, SolveError
+from pdpetsc.problem.assembly import Filler
+from pdpetsc.problem.inertia import Blend, Inertia
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
+from pdpetsc.solvers.dynamics.motion import forces
+from pdpetsc.solvers.load_steps import equilibrium
+from pdpetsc.solvers.newton import StaticSolver
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+
+# Kinetic energy over the largest so far at which an equilibrium is first sought; its square root bounds the inertia
+# forces. After an equilibrium elsewhere the share is SMALLER times it.
+REST, SMALLER = 1e-3, 0.1
+# Distance of that equilibrium over the distance that the body has moved.
+NEAR = 0.1
+# Share of the energy of a step that a body releases in a jump. The trapezoidal rule is off by far less along a path of
+# equilibria, even up to a limit point.
+JUMPS = 0.05
+# Smallest time step over the declared one.
+LEAST = 1e-4
+
+
+class SnapSolver(StaticSolver):
+    """Solve load steps as ``StaticSolver``, and the smallest step that finds no equilibrium as a motion.
+
+    Parameters
+    ----------
+    problem, assembler, stop, steps
+        As for ``StaticSolver``; the problem has an inertia for snaps.
+    declared : SnapThrough
+        Time step, longest time and damping of the motion.
+    """
+
+    def __init__(
+        self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps,
+        declared: SnapThrough,
+    ) -> None:  # fmt: skip
+        super().__init__(problem, assembler, stop, steps)
+        assert problem.snap_inertia is not None
+        self._assembler, self._declared, self._inertia = assembler, declared, problem.snap_inertia
+        self._inertia.blend = Blend.of(declared.radius)
+
+    @classmethod
+    def make(cls, setting: Setting) -> SnapSolver:
+        """Build the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.stop, setting.steps, setting.declared)
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield the converged load steps (collective)."""
+        self._last = self._measured(self.problem.state(start.u, start.t))
+        yield from super().march(start, on_failure)
+
+    def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
+        """Refuse an equilibrium that is not reached through others: the body would release energy on the way."""
+        growth, reason = super().too_long(u, steps)
+        if growth > 1.0:
+            return growth, reason
+        now = self._measured(self.state(u))
+        released = self._released(now)
+        if released > JUMPS:
+            return 2.0, f"the body jumps, and would release {100.0 * released:.2g} % of the energy of the step"
+        self._last = now
+        return growth, ""
+
+    @property
+    def _judges(self) -> bool:
+        """Return True if the energies of the body are known and nothing dissipates."""
+        problem = self.problem
+        terms = [term for term in problem.terms if not (term.load or term.of_solver)]
+        silent = any(term.works or type(term).energy is Term.energy for term in terms)
+        return not silent and problem.damage is None and problem.body.expansion is None
+
+    def _measured(self, state: State) -> tuple[Float, Float, float]:
+        """Return unknowns, forces of loads and supports, and stored energy of an equilibrium."""
+        problem = self.problem
+        if not self._judges:
+            return state.u, np.zeros(0), 0.0
+        internal, external = forces(problem, state)
+        acting = np.where(problem.supports.reacting, internal, external)
+        return state.u, acting, sum(problem.energies(state).values())
+
+    def _released(self, now: tuple[Float, Float, float]) -> float:
+        """Return the work on the body since the last equilibrium less the energy that it stores, over their sizes."""
+        if not self._judges:
+            return 0.0
+        (u, force, energy), (v, before, stored) = now, self._last
+        work = float(total(self._comm, 0.5 * float(((force + before) * (u - v)).sum())))
+        size = abs(work) + abs(energy - stored)
+        return (work - (energy - stored)) / size if size > 0.0 else 0.0
+
+    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
+        """Move with the conditions of load parameter ``t`` from rest at ``u`` until the body is at rest."""
+        motion = _Motion(self, u, t)
+        share = REST
+        while True:
+            with self._with_inertia():
+                motion.move(share)
+            at = motion.u
+            found, result, broken, sweeps = equilibrium(self, self.steps.bonds_at_once, at, t, self.stop)
+            self.refuse_stopped()
+            stable = self.steps.unstable == "warn" or not result.negative_pivots
+            if result.converged and stable and self._distance(found, at) <= NEAR * self._distance(at, u):
+                iterations, linear = motion.iterations + result.iterations, motion.linear + result.linear_iterations
+                result = replace(result, iterations=iterations, linear_iterations=linear, easy=False, moved=motion.time)
+                self._last = self._measured(self.state(found))
+                return found, result, motion.broken + broken, sweeps
+            self.problem.revert()
+            self._equilibrium.forget()
+            share *= SMALLER
+
+    def refuse_stopped(self) -> None:
+        """Raise Interrupted if a signal requested a stop."""
+        if self.stop():
+            self.problem.revert()
+            raise Interrupted(
+                f"Stopped by a signal while the body moved at step time {self.t:.6g}; results are complete up to the "
+                f"last step; go on with --restart."
+            )
+
+    def _distance(self, u: Float, v: Float) -> float:
+        return largest(self._comm, float(np.abs(u - v).max(initial=0.0)))
+
+    @contextmanager
+    def _with_inertia(self) -> Iterator[None]:
+        """Give the problem its inertia in the ``with`` block (collective)."""
+        problem = self.problem
+        kept, problem.last_step = problem.last_step, None
+        problem.inertia = self._inertia
+        problem.terms.append(self._inertia)
+        try:
+            yield
+        finally:
+            problem.terms.remove(self._inertia)
+            problem.inertia, problem.last_step = None, kept
+            self._equilibrium.forget()
+
+    def new_step_solver(self) -> _StepSolver:
+        """Return a solver of time steps (collective)."""
+        return _StepSolver(self.problem, self._assembler, self.stop, self._inertia)
+
+
+class _StepSolver(StaticSolver):
+    """Solve one time step after another, each from the motion with constant acceleration."""
+
+    def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], inertia: Inertia) -> None:
+        super().__init__(problem, assembler, stop)
+        self._inertia = inertia
+
+    def _as_before(self, u: Float, t: float) -> int | None:
+        n = len(self._inertia.mass)
+        if largest(self._comm, float(not np.array_equal(u[:n], self._inertia.u))) > 0.0:
+            return None  # the step is solved again with other damage
+        ahead = u.copy()
+        ahead[:n] = self._inertia.ahead(t)
+        return self._tried(self._equilibrium.at_prescribed(ahead))
+
+
+class _Motion:
+    """Move a body at constant load, step by step.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Unknowns now [length].
+    time : float
+        Time since the start [time].
+    iterations, linear, broken : int
+        Newton and linear iterations and broken bonds so far.
+    """
+
+    def __init__(self, of: SnapSolver, u: Float, t: float) -> None:
+        self._of, self.u, self._t = of, u, t
+        self.time, self._dt = 0.0, of._declared.dt
+        self.iterations = self.linear = self.broken = 0
+        self._balance: MotionBalance | None = None
+        # The largest kinetic energy [energy] and norm of the inertia forces [force] so far.
+        self._most = np.zeros(2)
+
+    def move(self, share: float) -> None:
+        """Move until the kinetic energy and the inertia forces are a small share of their largest values (collective).
+
+        Raises
+        ------
+        SolveError
+            A time step fails, the energy does not balance, or the time is up.
+        Interrupted
+            A signal requested a stop.
+        """
+        declared, solver = self._of._declared, self._of.new_step_solver()
+        try:
+            if self._balance is None:
+                self._begin()
+            while self.time < declared.end:
+                self._step(solver)
+                now = self._size()
+                self._most = np.maximum(self._most, now)
+                if np.all(now <= np.array([share, np.sqrt(share)]) * self._most):
+                    return
+        finally:
+            solver.destroy()
+        kinetic = self._size()[0] / self._most[0] if self._most[0] > 0.0 else 0.0
+        raise SolveError(
+            f"At step time {self._t:.6g} there is no equilibrium, and the body is not at rest after moving for "
+            f"{declared.end:g}: its kinetic energy is {kinetic:.2g} of the largest. Take a longer end, more damping or "
+            f"a smaller radius, or hold the body."
+        )
+
+    def _begin(self) -> None:
+        """Start from rest."""
+        problem, inertia = self._of.problem, self._of._inertia
+        fixed, n = problem.supports.fixed, len(inertia.mass)
+        self.u = np.where(fixed, problem.supports.prescribed(self._t), self.u)
+        inertia.step = 0.0
+        still = np.zeros_like(inertia.v)
+        inertia.place(self.u[:n], still, still, self._t)
+        state = problem.state(self.u, self._t)
+        internal, external = forces(problem, state)
+        a = np.where(fixed[:n], 0.0, (external - internal)[:n] / inertia.mass[:, None])
+        inertia.place(self.u[:n], still, a, self._t)
+        self._balance = MotionBalance(problem, inertia, {}, tells=False)
+        self._balance.begin(state, internal, external, 0.0)
+        self._begin_step(internal, external)
+
+    def _step(self, solver: _StepSolver) -> None:
+        """Make one time step, halved until it converges."""
+        of, problem, inertia = self._of, self._of.problem, self._of._inertia
+        problem.start_from(problem.state(self.u, self._t))
+        while True:
+            inertia.step_by(self._dt)
+            attempt, result, broken, _ = equilibrium(solver, of.steps.bonds_at_once, self.u, self._t, of.stop)
+            self.iterations += result.iterations
+            self.linear += result.linear_iterations
+            of.refuse_stopped()
+            if result.converged:
+                break
+            problem.revert()
+            self._dt *= 0.5
+            if self._dt < LEAST * of._declared.dt:
+                raise SolveError(
+                    f"At step time {self._t:.6g} there is no equilibrium, and the motion fails after {self.time:.3g}: "
+                    f"{result.reason}; take a shorter dt, or look for zero-energy modes."
+                )
+        self.u, self.broken, self.time = attempt, self.broken + broken, self.time + self._dt
+        problem.commit(problem.state(self.u, self._t))
+        self._dt = min(2.0 * self._dt, of._declared.dt)
+        state = problem.state(self.u, self._t)
+        internal, external = forces(problem, state)
+        assert self._balance is not None
+        self._balance.move(state, internal, external)
+        error = self._balance.record(state, inertia.energy_of_free())
+        if not np.isfinite(error) or error > MOST:
+            raise SolveError(
+                f"In the motion at step time {self._t:.6g} the body gained {error:.2g} of its largest energy; take a "
+                f"shorter dt."
+            )
+        self._begin_step(internal, external)
+
+    def _begin_step(self, internal: Float, external: Float) -> None:
+        """Store the forces at the start of the next step."""
+        inertia, n = self._of._inertia, len(self._of._inertia.mass)
+        static = (internal - external)[:n] + inertia.damped(inertia.v)
+        inertia.begin[:] = np.where(self._of.problem.supports.fixed[:n], 0.0, static)
+
+    def _size(self) -> Float:
+        """Return the kinetic energy [energy] and the norm of the inertia forces [force]."""
+        inertia, free = self._of._inertia, ~self._of.problem.supports.fixed[: len(self._of._inertia.mass)]
+        force = np.where(free, inertia.mass[:, None] * inertia.a, 0.0)
+        sums = total(self._of.problem.body.cloud.comm, [inertia.energy_of_free(), float((force**2).sum())])
+        return np.array([sums[0], np.sqrt(sums[1])])

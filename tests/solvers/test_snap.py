@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import Stop, script_on
+from tests.commands import Stop, results, script_on
 
 SPAN, RISE, HEIGHT = 20.0, 0.6, 0.5
 LOAD = 2e-5
@@ -59,6 +59,13 @@ def test_an_arch_rests_on_the_branch_of_its_path(snapped, tmp_path):
     np.testing.assert_allclose(w[k:], after, rtol=5e-3)
 
 
+@pytest.mark.long
+def test_an_arch_rests_at_the_rise_of_its_closed_form(tmp_path):
+    found = results("runs/stability/arch.py", "solver=snap", output=tmp_path)["results"]
+    assert found["limit"] == pytest.approx(1.0, abs=0.08)
+    assert found["landing"] == pytest.approx(1.0, abs=0.04)
+
+
 def test_without_a_limit_nothing_moves(tmp_path):
     """The run is that of Newton's method, to the last digit."""
     few = {"load": 0.5 * LOAD}
@@ -68,6 +75,7 @@ def test_without_a_limit_nothing_moves(tmp_path):
     assert not any(step.get("moved") for step in still.summary["steps"])
 
 
+@pytest.mark.long
 def test_units_do_not_matter(snapped, tmp_path):
     small = pd.run(arch(unit=1e-6), tmp_path)
     one, other = snapped.history["middle"], small.history["middle"]
@@ -103,6 +111,7 @@ def test_two_ranks_rest_where_one_does(snapped, tmp_path):
     assert np.abs(np.load(tmp_path / "u.npy") - u).max() < 1e-7 * np.abs(u).max()
 
 
+@pytest.mark.long
 def test_damping_and_radius_lead_to_the_same_rest(snapped, tmp_path):
     damped = arch(pd.SnapThrough(dt=60.0, end=2e5, radius=0.8))
     damped = dataclasses.replace(damped, conditions=[*damped.conditions, pd.RayleighDamping(mass=1e-3)])

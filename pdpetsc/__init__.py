@@ -53,7 +53,7 @@ from pdpetsc.declare.conditions import (
     Velocity,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
-from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
+from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
@@ -172,6 +172,7 @@ __all__ = [
     "BondStretch",
     "Brittle",
     "BrokenBonds",
+    "BulkViscosity",
     "Case",
     "CaseError",
     "Cell",

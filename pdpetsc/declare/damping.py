@@ -1,4 +1,4 @@
-"""Damping of a motion: proportional to mass in a region, and boundaries that absorb waves."""
+"""Damping of a motion: proportional to mass in a region, of shocks, and boundaries that absorb waves."""
 
 from __future__ import annotations
 
@@ -50,6 +50,38 @@ class RayleighDamping(Condition):
         super().__post_init__()
         if self.mass == self.stiffness == 0.0:
             raise CaseError("RayleighDamping takes a positive mass or stiffness.")
+
+
+@dataclass(frozen=True)
+class BulkViscosity(Condition):
+    """Viscous pressure that widens shocks to a few spacings and damps the oscillations behind them.
+
+    ``sigma = rho h (c_1 c_d - c_2^2 h min(tr D, 0)) tr(D) 1`` with the rate of deformation ``D``, the spacing
+    ``h = V^(1/dim)`` and the speed ``c_d`` of waves of compression in the undeformed material. It resists every change
+    of volume, and compression more. For ``Explicit`` and materials with deformation gradients; the stable step shortens
+    by ``sqrt(1 + x^2) - x`` with the largest ``x = c_1 - c_2^2 h min(tr D, 0) / c_d``.
+
+    Parameters
+    ----------
+    linear, quadratic : float
+        ``c_1``, ``c_2`` [-]; the defaults are usual.
+
+    References
+    ----------
+    VonNeumann1950 (quadratic part); Landshoff1955 (linear part).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> shock = pd.BulkViscosity()
+    """
+
+    linear: NonNegative = 0.06
+    quadratic: NonNegative = 1.2
+
+    def put(self, onto: Any, name: str) -> None:
+        """Add the viscosity."""
+        onto.bulk_viscosity(self, name)
 
 
 @dataclass(frozen=True)

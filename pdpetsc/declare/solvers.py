@@ -436,13 +436,15 @@ class Explicit(DeclaredSolver):
     records : int
         Number of records in history and files, at equal times.
     least_step : float, optional
-        Stable time step of the undeformed body [time], for which stiff and light particles get more mass:
-        ``m_i = max(rho V_i, c k_i)`` with the mean ``k_i`` of the diagonal of the tangent and one ``c`` for the body.
-        The log states the added mass. For slow processes and a few small particles; waves slow down.
+        Time step of the undeformed body, ``safety`` included [time], for which stiff and light particles get more
+        mass: ``m_i = max(rho V_i, c k_i)`` with the mean ``k_i`` of the diagonal of the tangent and one ``c`` for the
+        body. The log states the added mass, and warns above 5 %. For slow processes and a few small particles: waves
+        slow down, and kinetic energy, J and stress intensity are those of the raised mass.
 
     References
     ----------
-    Hughes1987, section 9.1 (central differences). Olovsson2005 (added mass).
+    Hughes1987, section 9.1 (central differences). Olovsson2005 adds mass that keeps translations; here masses stay
+    lumped.
 
     Examples
     --------

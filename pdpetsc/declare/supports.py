@@ -153,7 +153,7 @@ class Roller(_Support):
     ------
     CaseError
         In a case: as for ``Clamp``; ``axis`` or ``normal`` is missing for a set or region; a normal is zero; or another
-        condition holds a particle with an inclined normal.
+        condition prescribes the largest component of a normal between the axes, or ties another one.
 
     Examples
     --------

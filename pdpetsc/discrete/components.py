@@ -59,7 +59,7 @@ def refuse_rigid_motion(
     joined : (n, 2) int32
         As for ``find_pieces``.
     resisted : callable
-        Computes the violation of constraints by displacements (n_owned, dim), 0 for unconstrained components
+        Computes what resists displacements (n_owned, dim) at each own particle (n_owned, parts), 0 where nothing does
         (collective). A mirror plane holds the pieces that it crosses: they cannot move along its normal or rotate it.
 
     Raises

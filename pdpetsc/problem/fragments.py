@@ -38,7 +38,7 @@ def fragments_of(problem: Problem, u: Float) -> tuple[list[str], Float]:
     columns = [np.ones(n), volume, *(volume[:, None] * (cloud.x[:n] + u)).T]
     names = ["particle", "particles", "volume", *axes]
     if inertia is not None:
-        columns += [inertia.mass, *(inertia.mass[:, None] * inertia.v).T]
+        columns += [inertia.own_mass, *(inertia.own_mass[:, None] * inertia.v).T]
         names += ["mass", *(f"v{axis}" for axis in axes)]
     labels, number = np.unique(find_pieces(cloud, _intact(problem)), return_inverse=True)
     sums = np.stack([np.bincount(number, column, len(labels)) for column in columns], axis=1)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -46,6 +49,16 @@ class Blend:
         return cls(alpha_m, alpha_f, 0.25 * shift**2, shift - 0.5)
 
 
+class ShockViscosity(Protocol):
+    """Define the interface of a viscosity of shocks."""
+
+    ratio: float
+
+    def force(self, state: State, velocity: Float) -> Float:
+        """Return the resisting forces (n_rows, dim) [force] at a state, for velocities (n_rows, dim) (collective)."""
+        ...
+
+
 class Inertia(Term):
     """Add ``(M ((1 - alpha_m) a + alpha_m a_0) + alpha_f s_0) / (1 - alpha_f)`` to the residual, and damping ``C v``.
 
@@ -65,8 +78,10 @@ class Inertia(Term):
         Initial velocities [length / time].
     held : (n_rows, dim) bool
         Held components, without inertia.
-    damper : (n_owned, dim, dim) float64, optional
-        ``C`` of each own particle [force time / length].
+    rate : (n_owned,) float64, optional
+        Damping proportional to the mass [1 / time].
+    dashpots : (n_owned, dim, dim) float64, optional
+        Further damping of each own particle [force time / length].
     damping_time : float
         Factor of the stiffness in the damping of explicit steps [time].
     duration : float
@@ -74,8 +89,14 @@ class Inertia(Term):
 
     Attributes
     ----------
-    mass, damper, damping_time
-        As above.
+    mass, damping_time
+        As above; ``raise_mass`` may add to the mass.
+    own_mass : (n_owned,) float64
+        Masses without what is added.
+    added : float
+        Added mass of the free components over that of these components [-].
+    damper : (n_owned, dim, dim) float64 or None
+        ``C`` of each own particle [force time / length].
     u, v, a : (n_owned, dim) float64
         Displacement [length], velocity and acceleration of the last converged step.
     begin : (n_owned, dim) float64
@@ -87,6 +108,8 @@ class Inertia(Term):
     step : float or None
         Time since the last converged step in a motion at constant load [time]; None if the load parameter determines
         it.
+    viscosity : ShockViscosity or None
+        Viscosity of shocks in explicit steps.
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
 
@@ -99,11 +122,12 @@ class Inertia(Term):
     energy_of = "kinetic"
 
     def __init__(
-        self, body: Body, mass: Float, velocity: Float, held: Mask, damper: Float | None, damping_time: float,
-        duration: float,
+        self, body: Body, mass: Float, velocity: Float, held: Mask, rate: Float | None, dashpots: Float | None,
+        damping_time: float, duration: float,
     ) -> None:  # fmt: skip
-        self._body, self.mass, self._duration = body, mass, duration
-        self.damper, self.damping_time = damper, damping_time
+        self._body, self.mass, self.own_mass, self._duration = body, mass, mass, duration
+        self._rate, self._dashpots, self.damping_time = rate, dashpots, damping_time
+        self.damper, self.added = self._damper(), 0.0
         n, dim = body.cloud.n_owned, body.dim
         self.u, self.v, self.a = np.zeros((n, dim)), velocity.copy(), np.zeros((n, dim))
         self.blend = Blend.of(1.0)
@@ -111,7 +135,27 @@ class Inertia(Term):
         self._t, self._dt = 0.0, 0.0
         self.active, self.error = True, 0.0
         self.step: float | None = None
+        self.viscosity: ShockViscosity | None = None
         self.begin = np.zeros((n, dim))
+
+    def _damper(self) -> Float | None:
+        if self._rate is None:
+            return self._dashpots
+        found = (self._rate * self.mass)[:, None, None] * np.eye(self._body.dim)
+        return found if self._dashpots is None else found + self._dashpots
+
+    def raise_mass(self, least: Float) -> None:
+        """Raise the masses of particles that are not held to ``least`` (n_owned,) [mass] (collective)."""
+        if self._dashpots is not None:
+            raise CaseError(
+                "least_step of Explicit does not go with AbsorbingBoundary, whose dashpots fit the density."
+            )
+        free = self._free.any(axis=1)
+        self.mass = np.where(free, np.maximum(self.mass, least), self.mass)
+        self.damper = self._damper()
+        sums = [float(one[free].sum()) for one in (self.mass, self.own_mass)]
+        raised, before = total(self._body.cloud.comm, sums).tolist()
+        self.added = raised / before - 1.0 if before > 0.0 else 0.0
 
     @property
     def parts(self) -> list[str]:

@@ -56,8 +56,8 @@ class Problem:
     fields : list of SolvedField
         Fields that are solved for besides the displacement, at most one.
     last_step : LastStep or None
-        Change of the displacement in the last load step. Only for a material with history, without damage, expansion or
-        cell.
+        Change of the displacement in the last load step. Only for a material with history or contact, without damage,
+        expansion or cell.
 
     Notes
     -----
@@ -168,12 +168,9 @@ class Problem:
         return held
 
     def resisted(self, modes: Float) -> Float:
-        """Return the part of displacements (n_owned, dim) that supports and grounded terms resist [length], else 0."""
-        found = self.supports.violation(modes)
-        for term in self.terms:
-            if term.grounded is not None:
-                found = np.where(term.grounded, modes, found)
-        return found
+        """Return the parts of displacements (n_owned, dim) that supports and terms resist (n_owned, parts) [length]."""
+        parts = [self.supports.violation(modes), *(term.resisted(modes) for term in self.terms)]
+        return np.concatenate([part for part in parts if part is not None], axis=1)
 
     @property
     def joined(self) -> LocalIndex:

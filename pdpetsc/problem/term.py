@@ -130,6 +130,13 @@ class Term(ABC):
         """
         return None
 
+    def resisted(self, modes: Float) -> Float | None:
+        """Return the parts of displacements (n_owned, dim) that the term resists, as supports do.
+
+        They are (n_owned, parts) [length], by default the components of ``grounded``; None for none (not collective).
+        """
+        return None if self.grounded is None else np.where(self.grounded, modes, 0.0)
+
     @property
     def joined(self) -> LocalIndex:
         """Return pairs (n, 2) of local particles that the term holds together in every direction (not collective)."""

@@ -23,7 +23,7 @@ from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
-from pdpetsc.declare.solvers import Implicit, SnapThrough
+from pdpetsc.declare.solvers import Explicit, Implicit, SnapThrough
 from pdpetsc.declare.steps import Steps
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
@@ -65,6 +65,7 @@ from pdpetsc.problem.term import Term
 from pdpetsc.solvers.heat_steps import HeatSteps
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.bulk_viscosity import ViscousPressure
 from pdpetsc.terms.conditions import Applied, apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
@@ -362,6 +363,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     if case.solver.duration is not None:
         problem.inertia = _inertia(case, problem, materials, applied)
         problem.terms.append(problem.inertia)
+        problem.last_step = None  # time steps start from the velocity
         return problem
     if isinstance(case.solver, SnapThrough):
         problem.snap_inertia = _inertia(case, problem, materials, applied)
@@ -392,16 +394,31 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
         raise CaseError(f"{name} damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out.")
     if isinstance(case.solver, SnapThrough) and problem.material_term.timed:
         raise CaseError("SnapThrough does not go with materials that depend on the rate. Use Implicit.")
-    n, damper = cloud.n_owned, None
+    n = cloud.n_owned
     mass = density * cloud.volume[:n]
     start = np.zeros((n, cloud.dim)) if applied.velocity is None else applied.velocity
-    if applied.damping_rate is not None or applied.absorbing is not None:
-        rate = np.zeros(n) if applied.damping_rate is None else applied.damping_rate
-        damper = (rate * mass)[:, None, None] * np.eye(cloud.dim)
-        if applied.absorbing is not None:
-            damper += _dashpots(problem.body, materials, density, applied.absorbing)
-    held = problem.supports.fixed
-    return Inertia(problem.body, mass, start, held, damper, applied.damping_time, case.duration)
+    dashpots = None
+    if applied.absorbing is not None:
+        dashpots = _dashpots(problem.body, materials, density, applied.absorbing)
+    inertia = Inertia(
+        problem.body, mass, start, problem.supports.fixed, applied.damping_rate, dashpots, applied.damping_time,
+        case.duration,
+    )  # fmt: skip
+    if applied.viscosity is not None:
+        if not isinstance(case.solver, Explicit):
+            raise CaseError("BulkViscosity is for Explicit. Implicit steps damp shocks by their radius; leave it out.")
+        if case.of_bonds:
+            raise CaseError("BulkViscosity needs deformation gradients, which a bond-based body does not have.")
+        A = _elastic_moduli(materials, cloud.dim)[:, 0, 0, 0, 0]
+        factor = 1.0 if materials.factor is None else materials.factor
+        inertia.viscosity = ViscousPressure(applied.viscosity, problem, density, factor * A[materials.index])
+    return inertia
+
+
+def _elastic_moduli(materials: OfParticles, dim: int) -> Float:
+    """Return the moduli of each undeformed material (n_materials, dim, dim, dim, dim) [stress]."""
+    laws = [one.elastic(dim) if isinstance(one, BondMaterial) else one for one in materials.materials]
+    return np.stack([law.moduli(dim) for law in laws])
 
 
 def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) -> Float:
@@ -414,8 +431,7 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
     area, owner = surface.area[mask], surface.owner[mask]
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]
-    laws = [one.elastic(dim) if isinstance(one, BondMaterial) else one for one in materials.materials]
-    A = np.stack([law.moduli(dim) for law in laws])[materials.index[owner]]
+    A = _elastic_moduli(materials, dim)[materials.index[owner]]
     factor = np.ones(len(density)) if materials.factor is None else materials.factor
     Q = (factor * density)[owner, None, None] * np.einsum("fimkn,fm,fn->fik", A, normal, normal)
     squares, axes = np.linalg.eigh(Q)

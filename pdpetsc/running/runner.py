@@ -41,6 +41,9 @@ from pdpetsc.solvers.protocol import Solver, Start, StepResult
 # elastic plane body compiles for 20 s, a plastic solid for 110 s.
 COMPILING = "compiling kernels, 20 s to 2 min, once for each kind of case, processor and version ..."
 
+# Added over free mass from which a run warns.
+MUCH_MASS = 0.05
+
 
 def run(
     case: Case,
@@ -212,6 +215,14 @@ class _Run:
         record.unit = solver.unit
         record.summary["solver"] = solver.description()
         report.say(f"solver: {solver.description()}")
+        inertia = prepared.problem.inertia
+        if inertia is not None and inertia.added > 0.0:
+            record.summary["added_mass"] = inertia.added
+            if inertia.added > MUCH_MASS:
+                report.warn(
+                    f"{100.0 * inertia.added:.3g} % of the mass are added. Compare with a shorter least_step, or check "
+                    f"that the kinetic energy stays small."
+                )
         return prepared, solver
 
     def _solver(self, prepared: Prepared) -> Solver:

@@ -26,7 +26,7 @@ from pdpetsc.declare.conditions import (
     Velocity,
     condition_name,
 )
-from pdpetsc.declare.damping import AbsorbingBoundary, RayleighDamping
+from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.supports import Foundation, PointSupport
@@ -101,6 +101,7 @@ class Applied:
         self.damping_rate: Float | None = None
         self.damping_time = 0.0
         self.absorbing: Mask | None = None
+        self.viscosity: BulkViscosity | None = None
         self._contacts: set[str] = set()
         self._material_term = material_term
         self._of_cell: set[int] = set()
@@ -145,6 +146,12 @@ class Applied:
         self.damping_rate = rate + condition.mass * mask
         self.damping_time += condition.stiffness
 
+    def bulk_viscosity(self, condition: BulkViscosity, name: str) -> None:
+        """Store the viscosity of shocks."""
+        if self.viscosity is not None:
+            raise CaseError(f"{name} is a second BulkViscosity. Leave one out.")
+        self.viscosity = condition
+
     def absorbing_boundary(self, condition: AbsorbingBoundary, name: str) -> None:
         """Add dashpots on facets."""
         surface = self.body.surface
@@ -164,6 +171,8 @@ class Applied:
         """Return the name of a condition that damps a motion; an empty name if there is none (not collective)."""
         if self.damping_rate is not None:
             return "RayleighDamping"
+        if self.viscosity is not None:
+            return "BulkViscosity"
         return "" if self.absorbing is None else "AbsorbingBoundary"
 
     def mean_displacement(self, condition: PointSupport, name: str) -> None:
@@ -194,20 +203,31 @@ class Applied:
         self.supports.tie(combination, values, name)
 
     def roller(self, region: Region, normals: Callable[[Float], Float], name: str) -> None:
-        """Prescribe ``n . u = 0`` for normals of any direction: the component along the axis closest to n is tied."""
+        """Prescribe ``n . u = 0``: components along an axis, and ties for normals between the axes.
+
+        The component along the axis closest to the normal is tied to the others.
+        """
         cloud = self.body.cloud
         own = np.flatnonzero(select(cloud, region, name)).astype(np.int32)
         with agreed(cloud.comm):
             n = normals(cloud.x[own])
         axis = np.argmax(np.abs(n), axis=1).astype(np.int32)
-        others = np.array([[a for a in range(cloud.dim) if a != along] for along in range(cloud.dim)])[axis]
-        ratio = -np.take_along_axis(n, others, axis=1) / np.take_along_axis(n, axis[:, None], axis=1)
-        each = cloud.dim - 1
+        ratio = -n / np.take_along_axis(n, axis[:, None], axis=1)
+        ratio[np.arange(len(own)), axis] = 0.0
+        inclined = ratio.any(axis=1)
+        for along in range(cloud.dim):
+            held = np.flatnonzero(~inclined & (axis == along))
+            if int(total(cloud.comm, len(held))):
+                x, y, z = (0.0 if a == along else None for a in range(3))
+                self.supports.prescribe(Displacement(region, x, y, z), [(along, 0.0)], own[held].astype(np.int64), name)
+        if int(total(cloud.comm, np.count_nonzero(inclined))) == 0:
+            return
+        tied, (row, other) = np.flatnonzero(inclined), np.nonzero(ratio[inclined])
+        ptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(tied)))]).astype(np.int64)
         combination = Combination(
-            own, axis, each * np.arange(len(own) + 1, dtype=np.int64), np.repeat(cloud.row[own], each),
-            others.ravel().astype(np.int32), ratio.ravel(),
-        )  # fmt: skip
-        self.supports.tie(combination, lambda t: np.zeros(len(own)), name)
+            own[tied], axis[tied], ptr, cloud.row[own[tied]][row], other.astype(np.int32), ratio[inclined][row, other]
+        )
+        self.supports.tie(combination, lambda t: np.zeros(len(tied)), name)
 
     def force(self, condition: Force, name: str) -> None:
         """Add a total force."""
@@ -312,9 +332,9 @@ class Applied:
         )
 
     def _take_name(self, name: str) -> None:
-        """Raise CaseError if a contact or tie has this name already: it is the prefix of columns."""
+        """Raise CaseError if a contact, tie or foundation has this name already: it is the prefix of columns."""
         if name in self._contacts:
-            raise CaseError(f"Two contacts are named {name!r}; give each a name.")
+            raise CaseError(f"Two conditions are named {name!r}; give each a name.")
         self._contacts.add(name)
 
     def _contact_stiffness(self, condition: Contact | BodyContact | Tied, mask: Mask) -> tuple[float, float]:

@@ -13,6 +13,9 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 from pdpetsc.terms.facet_contact import Points
 
+# Angle below which round-off alone makes a displacement resisted.
+FLAT = 1e-6
+
 
 class PointSprings(Term):
     """Compute the forces ``f_k = -sum_p w_p(x_k) A_p C_p v_p`` for the relative displacements ``v_p`` of points.
@@ -94,13 +97,26 @@ class FoundationForces(PointSprings):
     ) -> None:  # fmt: skip
         along = normals[:, :, None] * normals[:, None, :]
         super().__init__(body, points, normal * along + tangential * (np.eye(body.dim) - along), name)
-        # The directions that are held, each as the axis closest to it.
-        held = np.full(normals.shape, tangential > 0.0)
-        held[np.arange(len(normals)), np.argmax(np.abs(normals), axis=1)] = normal > 0.0
-        self._grounded = np.zeros((body.cloud.n_owned, body.dim), dtype=bool)
-        np.logical_or.at(self._grounded, points.stencils.owner, held)
+        self._holds = normal > 0.0, tangential > 0.0
+        n, owner = body.cloud.n_owned, points.stencils.owner
+        mean = np.zeros((n, body.dim))
+        np.add.at(mean, owner, points.area[:, None] * normals)
+        size = np.linalg.norm(mean, axis=1, keepdims=True)
+        self._normal = mean / np.where(size > 0.0, size, 1.0)
+        # Facets of a curved side resist sliding by the angles between them, which tells nothing of the side itself.
+        self._spread = np.zeros(n)
+        np.maximum.at(self._spread, owner, np.linalg.norm(normals - self._normal[owner], axis=1))
 
     @property
     def grounded(self) -> Mask:
-        """Return which displacements of the own particles it ties to the ground (n_owned, dim) (not collective)."""
-        return self._grounded
+        """Return the displacements of the particles with springs (n_owned, dim) (not collective)."""
+        return np.repeat(self._normal.any(axis=1)[:, None], self.body.dim, axis=1)
+
+    def resisted(self, modes: Float) -> Float:
+        """Return the parts along and across the mean normal of each particle that springs resist (n_owned, parts)."""
+        along = (self._normal * modes).sum(axis=1)[:, None] * self._normal
+        parts = np.stack([along, modes - along], axis=1) * np.reshape(self._holds, (1, 2, 1))
+        faceting = (self._spread + FLAT) * np.linalg.norm(modes, axis=1)
+        parts[np.linalg.norm(parts, axis=2) <= faceting[:, None]] = 0.0
+        parts[~self._normal.any(axis=1)] = 0.0
+        return np.asarray(parts.reshape(len(modes), -1))

@@ -98,7 +98,7 @@ VALID = [
     pd.Displacement(region.All(), x=0.0), pd.InitialVelocity(region.All(), x=0.0), pd.Velocity("-x", x=1.0),
     pd.RayleighDamping(mass=1.0),
     pd.AbsorbingBoundary("+x"), pd.Explicit(end=1.0), pd.Implicit(dt=0.5, end=1.0), pd.CrackSpeed((1.0, 0.0)),
-    pd.SnapThrough(dt=0.5, end=1.0), pd.Foundation("-y", normal=1.0),
+    pd.SnapThrough(dt=0.5, end=1.0), pd.Foundation("-y", normal=1.0), pd.BulkViscosity(),
     pd.Force(region.All(), x=0.0), pd.BodyForce(region.All(), x=ones),
     pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.SurfacePressure(region.All(), 1.0),
     pd.Facets([[0.0], [2.0]], [[-1.0], [1.0]], [0, 1], {"left": [True, False]}),

@@ -78,7 +78,7 @@ def test_where_the_load_turns_nothing_is_moved_on(force):
 
 
 def pressed(schedule=None, friction=0.3, turn=0.0):
-    """Return half of a block that a round tool presses and rolls over."""
+    """Return a block that a round tool presses and rolls over."""
     tool = pd.RigidSphere(
         (0.0, 4.0), 2.0, move=(0.0, -0.2), turn=turn, about=(0.0, 4.0), schedule=schedule or pd.Ramp()
     )

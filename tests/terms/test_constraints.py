@@ -303,7 +303,7 @@ def test_rollers_on_an_inclined_side_leave_uniform_stress(tmp_path):
 
 
 def test_rollers_on_a_circle_allow_its_rotation_only(tmp_path):
-    """A disc in a sleeve: a pair of forces at its rim turns it as a rigid body that a spring at its middle resists."""
+    """A disc in a sleeve, held about its middle: forces along its rim turn it."""
     disc = pd.region.Sphere((0.0, 0.0), 1.0 + 1e-6)
     rim = pd.region.Where(lambda x: np.hypot(*x.T) > 0.8)
     case = pd.Case(
@@ -346,3 +346,30 @@ def test_normals_of_rollers_are_checked(given, message, tmp_path):
             ),
             output=tmp_path,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("normal", [(0.0, 1.0), (0.2, 1.0)])
+def test_a_roller_meets_another_support_at_a_corner(normal, tmp_path):
+    """Along the axes it is a prescribed component; between them it follows the component that the other one holds."""
+    low = pd.region.Slab("y", high=0.0)
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25),
+        material=pd.LinearElastic(E=10.0, nu=0.3, plane="stress"),
+        conditions=[pd.Roller("-x"), pd.Roller(low, normal=normal), pd.Traction("+x", x=1.0)],
+        fields=[],
+    )
+    run = pd.run(case, tmp_path / "run")
+    x, u = run.solution.x, run.solution.u
+    assert np.abs(u[x[:, 1] == 0.0] @ normal).max() < 1e-15
+    if normal[0] == 0.0:
+        plain = dataclasses.replace(case, conditions=[pd.Roller("-x"), pd.Roller("-y"), pd.Traction("+x", x=1.0)])
+        assert np.array_equal(u, pd.run(plain, tmp_path / "plain").solution.u)
+
+
+def test_a_roller_on_a_line_holds_its_end(tmp_path):
+    case = pd.Case(
+        particles=pd.LatticeNodes(0.0, 1.0, 0.1), material=pd.LinearElastic(E=10.0, nu=0.0),
+        conditions=[pd.Roller(pd.region.Slab("x", high=0.0), normal=(2.0,)), pd.Traction("+x", x=1.0)], fields=[],
+    )  # fmt: skip
+    u, x = pd.run(case, tmp_path).solution.u, np.linspace(0.0, 1.0, 11)
+    np.testing.assert_allclose(u[:, 0], 0.1 * x, atol=1e-9)

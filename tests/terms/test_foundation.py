@@ -7,6 +7,7 @@ import pytest
 
 import pdpetsc as pd
 from tests.commands import script_on
+from tests.mesh.test_meshes import box, written
 
 E, K = 100.0, 5.0
 
@@ -94,5 +95,61 @@ def test_what_it_does_not_hold_is_refused(tmp_path):
         pd.run(dataclasses.replace(free, conditions=free.conditions[1:]), tmp_path)
     with pytest.raises(pd.CaseError, match="positive stiffness"):
         pd.Foundation("-y", normal=0.0)
-    with pytest.raises(pd.CaseError, match="Two"):
+    with pytest.raises(pd.CaseError, match="Two conditions are named"):
         pd.run(dataclasses.replace(free, conditions=[*free.conditions, free.conditions[1]]), tmp_path)
+
+
+def ring(path, m, *more):
+    """Return a ring of radii 1 and 2 of m by 8 m cells on a foundation outside."""
+    points, cells = [], []
+    for k in range(8 * m):
+        angle = 2.0 * np.pi * k / (8 * m)
+        points += [[r * np.cos(angle), r * np.sin(angle)] for r in np.linspace(1.0, 2.0, m + 1)]
+        first, after = k * (m + 1), (k + 1) % (8 * m) * (m + 1)
+        cells += [[first + i, first + i + 1, after + i + 1, after + i] for i in range(m)]
+    written(path, np.array(points), [("quad", np.array(cells))])
+    outside = pd.region.Where(lambda x: np.hypot(*x.T) > 2.0 - 0.2 / m)
+    inside = pd.region.Where(lambda x: np.hypot(*x.T) < 1.0 + 0.2 / m)
+    return pd.Case(
+        particles=pd.MeshNodes(path), material=pd.LinearElastic(E=E, nu=0.0, plane="stress"),
+        conditions=[pd.Pressure(inside, 1.0), *(one(outside) for one in more)], fields=[],
+    )  # fmt: skip
+
+
+def test_normal_springs_on_a_circle_leave_its_rotation_free(tmp_path):
+    """The facets would resist it by their angles, four times less after each refinement."""
+    for m in (2, 4):
+        case = ring(tmp_path / "ring.vtk", m, lambda outside: pd.Foundation(outside, normal=K))
+        with pytest.raises(pd.CaseError, match="left with 1 of 3 rigid motions"):
+            pd.run(case, tmp_path / "free")
+    held = ring(tmp_path / "ring.vtk", 4, lambda outside: pd.Foundation(outside, normal=K, tangential=0.1 * K))
+    run = pd.run(held, tmp_path / "held")
+    u, x = run.solution.u, run.solution.x
+    r = np.hypot(*x.T)
+    # Lame's ring under the inner pressure 1 and the outer pressure K u: 3 E u = 4 - 10 K u.
+    outer = (u * x).sum(axis=1)[r > 1.9] / r[r > 1.9]
+    assert np.ptp(outer) < 0.02 * outer.mean()
+    assert outer.mean() == pytest.approx(4.0 / (3.0 * E + 10.0 * K), rel=0.03)
+
+
+@pytest.mark.parametrize("angle", [0.6, 0.7, np.pi / 4.0, 0.8, 0.9, 1.3])
+@pytest.mark.parametrize("component", ["x", "y"])
+def test_an_inclined_foundation_and_one_component_hold_a_block(angle, component, tmp_path):
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    points, cells = box("quad", (4, 2), 0.5 * R)
+    written(tmp_path / "block.vtk", points, [("quad", cells)])
+
+    def side(test):
+        return pd.region.Where(lambda x: test(x @ R))
+
+    case = pd.Case(
+        particles=pd.MeshNodes(tmp_path / "block.vtk"),
+        material=pd.LinearElastic(E=E, nu=0.0, plane="stress"),
+        conditions=[
+            pd.Displacement(side(lambda y: y[:, 0] < 1e-6), **{component: 0.0}),
+            pd.Foundation(side(lambda y: y[:, 1] < 0.3), normal=K),
+            pd.Traction(side(lambda y: y[:, 1] > 0.8), x=R[0, 1], y=R[1, 1]),
+        ],
+        fields=[],
+    )
+    assert np.isfinite(pd.run(case, tmp_path / "run").solution.u).all()

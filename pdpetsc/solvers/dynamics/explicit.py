@@ -43,6 +43,10 @@ FIRST = 1e-6
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
 # The number of time steps between estimates is halved if the frequency grows more, doubled if it grows less.
 GROWS, RESTS = 0.02, 0.005
+# Relative difference of two masses of the same body.
+SAME_MASS = 1e-6
+# Name in a checkpoint: the added mass [-].
+ADDED = "added_mass"
 # Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
 # estimates of the frequency, and until the next one.
 FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "time_steps", "interval", "due"
@@ -75,7 +79,8 @@ class ExplicitSolver(Solver):
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
         self._steps = 0
-        self._added = 0.0 if declared.least_step is None else self._add_mass(declared.least_step)
+        if declared.least_step is not None:
+            self._add_mass(declared.least_step)
         self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
         # Tangent of the undeformed body, for damping proportional to it.
         self._resistance: Tangent | None = None
@@ -98,7 +103,7 @@ class ExplicitSolver(Solver):
 
     def description(self) -> str:
         """Return a short description of the solver."""
-        added = f", {100.0 * self._added:.3g} % of the mass added" if self._declared.least_step is not None else ""
+        added = f", {100.0 * self._inertia.added:.3g} % of the mass added" if self._declared.least_step else ""
         return f"central differences, {self._declared.safety:g} of the stable time step{added}"
 
     def destroy(self) -> None:
@@ -159,6 +164,8 @@ class ExplicitSolver(Solver):
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
                     )
+                if self._inertia.viscosity is not None and self._stable(largest) < size and number < count:
+                    base, number, count = at, 0, self._count(target - at, self._stable(largest))
                 if self._steps >= due:
                     now = max(self._frequency(u, at), least)
                     growth = now / largest - 1.0
@@ -176,6 +183,7 @@ class ExplicitSolver(Solver):
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
+            numbers[ADDED] = inertia.added
             resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
             problem.freeze(of_bonds)
@@ -199,6 +207,12 @@ class ExplicitSolver(Solver):
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
         resume_motion(self._problem, start.resume, self._declared.end)
+        was, now = start.resume.get(ADDED, 0.0), self._inertia.added
+        if abs(was - now) > SAME_MASS * (1.0 + now):
+            raise CaseError(
+                f"The checkpoint is of a motion with {100.0 * was:.3g} % of the mass added, not {100.0 * now:.3g} %. "
+                f"Use the same least_step."
+            )
         super().resume(start)
 
     def line(self, number: int, converged: Converged) -> str | None:
@@ -223,8 +237,8 @@ class ExplicitSolver(Solver):
         """Return the number of time steps of at most ``dt`` over a span of the step time."""
         return max(1, math.ceil(span * self._declared.end / dt * (1.0 - ROUNDED)))
 
-    def _add_mass(self, dt: float) -> float:
-        """Raise masses until the time step of the undeformed body is ``dt``; return the added mass over that before.
+    def _add_mass(self, dt: float) -> None:
+        """Raise masses until the time step of the undeformed body is ``dt``.
 
         With masses ``c k_i`` the largest frequency is that of the tangent relative to ``k_i`` over ``sqrt(c)``, and
         more mass only lowers it.
@@ -235,10 +249,7 @@ class ExplicitSolver(Solver):
         k = np.maximum(k, SOFTEST * largest_of(comm, float(k.max(initial=0.0))))
         half = 0.5 * dt / self._declared.safety
         square = 1.0 / (half**2 + half * inertia.damping_time)
-        needed = k * largest_frequency(problem, rest, k) ** 2 / square
-        before = float(total(comm, inertia.mass.sum()))
-        inertia.mass = np.maximum(inertia.mass, needed)
-        return float(total(comm, inertia.mass.sum())) / before - 1.0
+        inertia.raise_mass(k * largest_frequency(problem, rest, k) ** 2 / square)
 
     def _frequency(self, u: Float, t: float) -> float:
         return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)
@@ -248,6 +259,8 @@ class ExplicitSolver(Solver):
         if frequency == 0.0:
             return self._declared.end
         ratio = 0.5 * self._inertia.damping_time * frequency
+        if self._inertia.viscosity is not None:
+            ratio += self._inertia.viscosity.ratio
         return self._declared.safety * 2.0 / frequency * (math.sqrt(1.0 + ratio**2) - ratio)
 
     def _step(self, u: Float, t: float, dt: float, balance: MotionBalance) -> tuple[Float, int]:
@@ -261,7 +274,7 @@ class ExplicitSolver(Solver):
         if self._held:
             moved = np.where(fixed, problem.supports.prescribed(t), moved)
             half = np.where(held, (moved[:n] - u[:n]) / dt, half)
-        viscous = self._viscous(half)
+        viscous = self._viscous(u, half)
 
         def place(internal: Float, external: Float) -> None:
             a = inertia.accelerated_by((external - internal)[:n] - viscous, half, dt)
@@ -289,11 +302,16 @@ class ExplicitSolver(Solver):
         balance.fail(before - balance.stored(after) + kinetic, after, *acting)
         return moved, broken
 
-    def _viscous(self, velocity: Float) -> Float:
-        """Return ``c K_0 v`` of the free components (n_owned, dim) [force] for velocities of the own particles."""
-        if self._resistance is None:
-            return np.zeros_like(velocity)
-        rows = np.zeros((self._problem.body.cloud.n_rows, self._problem.dim))
-        rows[: len(velocity)] = velocity
-        force = self._inertia.damping_time * self._resistance(rows)[: len(velocity)]
-        return np.where(self._problem.supports.fixed[: len(velocity)], 0.0, force)
+    def _viscous(self, u: Float, velocity: Float) -> Float:
+        """Return ``c K_0 v`` and the viscosity of shocks of the free components (n_owned, dim) [force].
+
+        ``u`` are the unknowns at the start of the step, ``velocity`` those of the own particles (n_owned, dim).
+        """
+        problem, n, viscosity = self._problem, len(velocity), self._inertia.viscosity
+        rows, force = np.zeros_like(u), np.zeros_like(velocity)
+        rows[:n] = velocity
+        if self._resistance is not None:
+            force += self._inertia.damping_time * self._resistance(rows)[:n]
+        if viscosity is not None:
+            force += viscosity.force(problem.state(u, problem.converged), rows)[:n]
+        return np.where(problem.supports.fixed[:n], 0.0, force)

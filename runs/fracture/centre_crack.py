@@ -22,9 +22,9 @@ correspondence and ``Silling(G)``, standard weights, Poisson's ratio 0.3, the sa
 which the strain without stress is ``ratio`` times that at the onset of damage. The path is followed by the opening of
 the middle of the crack, in steps of ``step`` to ``end`` [mm]; with ``solver=newton`` the strip is pulled in 20 steps,
 and the crack jumps. Results: ``peak_stress``, ``griffith`` and ``ratio`` as above; ``running``, the mean of the stress
-over Griffith's at the present length of the crack, after it has grown by two horizons at each tip; ``strength`` [MPa];
-``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets small; ``balance``, work
-over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many
+over Griffith's for a crack that has grown by the dissipated energy over Gc, by at least two horizons at each tip;
+``strength`` [MPa]; ``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets small;
+``balance``, work over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many
 degrees; ``griffith`` is then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) =
 sqrt(E Gc)`` with the exact factors above, without those of the strip, ``turn`` the angle between the crack and the
 points that have failed beyond its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih).
@@ -213,7 +213,7 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
 
     def results(h):
         peak = max(h["force"]) / WIDTH
-        stress, half = np.array(h["force"]) / WIDTH, np.array(h["tip"]) - 0.5 * WIDTH
+        stress, half = np.array(h["force"]) / WIDTH, a + 0.5 * np.array(h["dissipated"]) / GC
         grown = (half > a + 2.0 * delta) & (half < 0.4 * WIDTH)
         along = stress[grown] / griffith_stress(half[grown], modulus) if turn == 0.0 else np.empty(0)
         running = {"running": float(along.mean())} if len(along) else {}

@@ -16,8 +16,9 @@ Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a /
 With ``damage=point`` gradient points fail (``pd.PointDamage`` by a softening ``curve``, with a strain without stress of
 ``ratio`` times that at the onset), with correspondence, ``Silling(G)`` and a Poisson ratio of 1/3. The path is followed
 by the opening of the mouth, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith``, ``ratio``;
-``running``, the mean of the stress over Griffith's at the present length of the crack, after it has grown by two
-horizons; ``cohesive_length``, ``E Gc / strength^2`` over a; ``balance``, work over stored and dissipated energy.
+``running``, the mean of the stress over Griffith's for a crack that has grown by the dissipated energy over Gc, by at
+least two horizons; ``cohesive_length``, ``E Gc / strength^2`` over a; ``balance``, work over stored and dissipated
+energy.
 
 Exact is ``K = s sqrt(pi a) F(a / W)`` with ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris,
 Irwin).
@@ -145,7 +146,7 @@ def of_points(n, horizon, a, G, curve, ratio, step, end):
 
     def results(h):
         peak = max(h["t"]) * exact
-        stress, length = exact * np.array(h["t"]), np.array(h["tip"])
+        stress, length = exact * np.array(h["t"]), a + np.array(h["dissipated"]) / GC
         grown = (length > a + 2.0 * delta) & (length < 0.6 * WIDTH)
         running = {"running": float((stress[grown] / griffith(length[grown])).mean())} if grown.any() else {}
         return {
@@ -169,11 +170,7 @@ def of_points(n, horizon, a, G, curve, ratio, step, end):
             pd.Force(high, y=exact * WIDTH),
         ],
         solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
-        history={
-            "opening": pd.Mean(pd.displacement, "y", above),
-            "tip": pd.CrackTip((1.0, 0.0)),
-            **point_damage.energies(),
-        },
+        history={"opening": pd.Mean(pd.displacement, "y", above), **point_damage.energies()},
         results=results,
         fields=[pd.displacement, pd.local_damage],
         picture=pd.Picture(pd.local_damage, "", 5.0),

@@ -82,12 +82,13 @@ def cohesive_over_griffith(a, length, cells=150):
 
 @pytest.mark.long
 def test_a_centre_crack_peaks_where_a_cohesive_crack_does(tmp_path):
-    """The steps end behind the peak."""
-    words = ("damage=point", "n=40", "horizon=2.015", "ratio=2", "step=0.002", "end=0.054")
+    """And runs on where Griffith's does, once its cohesive zone has developed."""
+    words = ("damage=point", "n=40", "horizon=2.015", "ratio=2", "step=0.003", "end=0.0601")
     found = results("runs/fracture/centre_crack.py", *words, output=tmp_path)["results"]
     length = 1000.0 * 0.1 / found["strength"] ** 2
     assert found["ratio"] == pytest.approx(cohesive_over_griffith(5.0, length), rel=0.04)
-    assert found["balance"] == pytest.approx(1.0, abs=0.005)
+    assert found["running"] == pytest.approx(1.0, abs=0.04)
+    assert found["balance"] == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.long

@@ -18,7 +18,15 @@ from pdpetsc.errors import CaseError
 
 
 class CriticalStretch(Criterion):
-    """Critical stretch of a bond: the driving variable is ``x = s / s_c``, negative in compression."""
+    """Critical stretch of a bond: the driving variable is ``x = s / s_c``, negative in compression.
+
+    Attributes
+    ----------
+    reads_middle : bool
+        Whether it depends on the middle of bonds.
+    """
+
+    reads_middle: ClassVar[bool] = True
 
     def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
         """Return ``e / (s_c |xi|)``.
@@ -28,7 +36,8 @@ class CriticalStretch(Criterion):
         CaseError
             A critical stretch is not positive.
         """
-        stretch = self(bonds.length, bonds.middle())
+        middle = bonds.middle() if self.reads_middle else np.empty((len(bonds.length), 0))
+        stretch = self(bonds.length, middle)
         bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
         if len(bad):
             length, value = bonds.length[bad[0]], stretch[bad[0]]
@@ -44,7 +53,7 @@ class CriticalStretch(Criterion):
         length : (n_bonds,) float64
             Reference length of the bonds [length].
         middle : (n_bonds, dim) float64
-            Their middles [length].
+            Their middles [length]; (n_bonds, 0) unless ``reads_middle``.
         """
 
 
@@ -60,6 +69,7 @@ class ConstantCritical(CriticalStretch):
 
     value: Positive
 
+    reads_middle: ClassVar[bool] = False
     reads_stiffness: ClassVar[bool] = False
 
     def __call__(self, length: Float, middle: Float) -> Float:
@@ -90,6 +100,7 @@ class LinearCritical(CriticalStretch):
     end: NonNegative
     length: Positive
 
+    reads_middle: ClassVar[bool] = False
     reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

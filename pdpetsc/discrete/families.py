@@ -209,8 +209,9 @@ def find_families(
             cutting.refuse_idle()
             return LatticeFamilies(lattice)
     pairs = _pairs(cloud)
-    with agreed(cloud.comm):
-        pairs = pairs[~cutting(pairs)]
+    if cutting.cuts:
+        with agreed(cloud.comm):
+            pairs = pairs[~cutting(pairs)]
     cutting.refuse_idle()
     directed = cloud.varies and not cloud.mutual
     indptr, neighbours = families_from_pairs(pairs, directed, cloud.order, cloud.n_owned)

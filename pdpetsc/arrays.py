@@ -14,6 +14,13 @@ GlobalIndex: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
 
 
+def twins(key: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex]:
+    """Return the rows of each pair of equal rows of ``key`` (n, k), of which no three are equal."""
+    order = np.lexsort(key.T)
+    same = np.flatnonzero((key[order[1:]] == key[order[:-1]]).all(axis=1))
+    return order[same], order[same + 1]
+
+
 def entries_of(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
     """Return the entries of some rows of a CSR structure (n_entries,), and where those of each row begin (n + 1,)."""
     size: GlobalIndex = np.diff(ptr)[rows]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask, twins
 from pdpetsc.declare import curved
 
 # Simplices that a cell is divided into, by its corner nodes.
@@ -401,9 +401,7 @@ class CellFacets:
     @property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
         """Return the facets that two cells share, as seen from the one and from the other (n, ) each."""
-        order = np.lexsort(self.key.T)
-        same = np.flatnonzero((self.key[order[1:]] == self.key[order[:-1]]).all(axis=1))
-        return order[same], order[same + 1]
+        return twins(self.key)
 
     @property
     def free(self) -> Mask:

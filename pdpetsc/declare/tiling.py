@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, twins
 from pdpetsc.declare.cells import FACETS, facet_keys
 
 # Corners of a box in the order of VTK; the first 2 and 4 are those of a line and of a rectangle.
@@ -47,9 +47,7 @@ class Faces:
     @cached_property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
         """Return both sides (n,) of the faces between two cells."""
-        order = np.lexsort(self.key.T)
-        same = np.flatnonzero((self.key[order[1:]] == self.key[order[:-1]]).all(axis=1))
-        return order[same], order[same + 1]
+        return twins(self.key)
 
 
 @dataclass(frozen=True)

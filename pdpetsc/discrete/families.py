@@ -68,6 +68,11 @@ class Families:
         """Return the own particles (n_owned,)."""
         return np.arange(len(self.indptr) - 1, dtype=np.int32)
 
+    def chosen(self, kept: Mask) -> Families:
+        """Return families with the chosen bonds (n_bonds,) only."""
+        before = np.concatenate([[0], np.cumsum(kept, dtype=np.int64)])
+        return Families(before[self.indptr], self.neighbours[kept])
+
     def bonds(self, x: Float) -> Float:
         """Return ``xi = x_j - x_i`` (n_bonds, dim) [length]."""
         return np.asarray(x[self.neighbours] - x[self.centres])

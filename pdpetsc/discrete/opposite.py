@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, twins
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import exchange, owners
 from pdpetsc.discrete.families import Families
@@ -33,9 +33,8 @@ class OppositeBonds:
         here = np.flatnonzero(owner == comm.rank)
         # A bond to the own mirror image has only one direction, which is its own opposite.
         self._partner = np.arange(self._n)
-        order = here[np.lexsort(keys[here].T[::-1])]
-        same = np.flatnonzero((keys[order[1:]] == keys[order[:-1]]).all(axis=1))
-        self._partner[order[same]], self._partner[order[same + 1]] = order[same + 1], order[same]
+        one, other = (here[rows] for rows in twins(keys[here][:, ::-1]))
+        self._partner[one], self._partner[other] = other, one
         (their_keys, theirs), counts = exchange(comm, owner[away], [keys[away], away])
         both, number = np.unique(np.concatenate([keys[away], their_keys]), axis=0, return_inverse=True)
         number = number.reshape(-1)

@@ -312,7 +312,7 @@ def _bonded(cloud: Cloud, families: Families, owner: GlobalIndex, places: Float)
     return np.asarray(found)
 
 
-def refuse_joined(cloud: Cloud, families: Families, surface: Surface, thickness: float) -> None:
+def refuse_joined(cloud: Cloud, surface: Surface, thickness: float) -> None:
     """Raise on all ranks if a bond goes through the middle of a facet to a particle directly behind it.
 
     Such a facet is not part of the surface: cells of two parts of a mesh touch without common nodes, or the sides of a

@@ -89,7 +89,7 @@ def conforming(
     if before <= TOLERANCE * scale:
         return operator
     g, left, after, iterations = operator.g, excess, before, 0
-    for near_inverse in near_inverses(system, families):
+    for near_inverse in near_inverses(system):
         near = near_inverse(system, families)
         for _ in range(ROUNDS):
             # The next round removes the round-off of many iterations.

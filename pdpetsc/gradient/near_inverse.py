@@ -304,7 +304,7 @@ def _sum_of_squares(parts: Sequence[Differences], component: int) -> Entries:
     return Entries(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
-def near_inverses(system: ConformingSystem, families: Families) -> Sequence[type[NearInverse]]:
+def near_inverses(system: ConformingSystem) -> Sequence[type[NearInverse]]:
     """Return the approximations that suit a system, the fastest first (collective)."""
     cloud = system.cloud
     here = cloud.local_horizon[: cloud.n_owned]

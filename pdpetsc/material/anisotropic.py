@@ -87,7 +87,7 @@ class AnisotropicLinear(Material):
         C = self.in_own_axes()
         return stiffness(0.5 * (C + C.T))
 
-    def _solids(self, dim: int, x: Float) -> Float:
+    def _solids(self, x: Float) -> Float:
         """Compute the stiffness of the solid at positions (n, dim), in the axes of the body (n, 3, 3, 3, 3)."""
         C, n = self._solid(), len(x)
         if self.orientation is None or n == 0:
@@ -125,11 +125,11 @@ class AnisotropicLinear(Material):
         """Return the stiffness of the solid for an orientation that is a function of positions in the plane."""
         if not callable(self.orientation):
             return np.empty((len(x), 0))
-        return stiffness_of_body(self._solids(2, x), 3, self.plane)
+        return stiffness_of_body(self._solids(x), 3, self.plane)
 
     def _reduced(self, dim: int, x: Float) -> Float:
         """Return ``C`` (dim^4) and the coefficients of out-of-plane stress or strain (dim^2), one row per position."""
-        return stiffness_of_body(self._solids(dim, x), dim, self.plane)
+        return stiffness_of_body(self._solids(x), dim, self.plane)
 
     def _across(self, F: Float, history: Float) -> Float:
         dim = F.shape[-1]
@@ -158,7 +158,7 @@ class AnisotropicLinear(Material):
         """Return the stiffness; its isotropic mean if the orientation is a function of position."""
         if callable(self.orientation):
             return self._mean(dim)
-        return moduli_of_body(self._solids(dim, np.zeros((1, dim)))[0], dim, self.plane)
+        return moduli_of_body(self._solids(np.zeros((1, dim)))[0], dim, self.plane)
 
     def _mean(self, dim: int) -> Float:
         mean = isotropic_moduli(*isotropic_mean(self._solid()), 3)

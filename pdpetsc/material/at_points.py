@@ -384,8 +384,8 @@ class MaterialLaw:
             loop(F, select[rows], law.constants, self.of.history[rows], result)
         return result
 
-    def _first_piola(self, elastic: Float, laws: Iterable[Law] | None = None) -> Float:
-        P = self._evaluate("stress", elastic, self._rows, np.empty_like(elastic), laws)
+    def _first_piola(self, elastic: Float) -> Float:
+        P = self._evaluate("stress", elastic, self._rows, np.empty_like(elastic))
         return self._expansion.first_piola(P)
 
     def _energy_density(self, elastic: Float, laws: Iterable[Law]) -> Float:

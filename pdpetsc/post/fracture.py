@@ -268,7 +268,7 @@ class JIntegral(_Release):
     body, with the weight q that decreases from 1 to 0 between two radii, and the displacement gradient ``H = F - I``.
     Body forces b and tractions t on the faces of the crack are those of the loads of the case; tractions are uniform
     along the crack, and dead. ``dpsi/dX`` is the derivative of the energy density by position at constant F, for
-    moduli, temperature or eigenstrain that depend on position (``inhomogeneity.explicit_derivative``). J is valid at
+    moduli, temperature or eigenstrain that depend on position (``Integrands.explicit_derivative``). J is valid at
     finite strain. In elastic bodies it is the energy released per area of crack. In bodies with history ``psi`` is the
     work of the stress, and J depends on the radii if loading is not proportional. In bodies of bonds the fields are the
     gradient of best fit of each family, and its stress and energy density.

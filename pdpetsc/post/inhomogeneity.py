@@ -109,18 +109,6 @@ def plane_tensors(columns: Float) -> Float:
     return np.asarray(columns[:, [[0, 2], [2, 1]]])
 
 
-def explicit_derivative(solution: Solution) -> Float:
-    """Return the derivative of the energy density by position at constant F (n_owned, 2) [energy / volume / length].
-
-    ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the eigenstrain eps, the factor c of the moduli, and the
-    temperature T if a law depends on it in another way. Their slopes are computed with the weights of the body, exact
-    for linear fields. ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` for linear bodies and bonds
-    (``MaterialLaw.energy_by_strain``). Collective.
-    """
-    place = of_place(solution)
-    return integrands_of(solution).explicit_derivative(place.factor, place.strain, place.temperature)
-
-
 def derivative_besides_grading(solution: Solution) -> Float:
     """Return the explicit derivative without the part of graded moduli (n_owned, 2) (collective)."""
     place = of_place(solution)

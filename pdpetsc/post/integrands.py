@@ -109,6 +109,11 @@ class Integrands(ABC):
     def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
         """Return the position derivative of the energy density at fixed F (n_owned, 2) [energy / volume / length].
 
+        ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the eigenstrain eps, the factor c of the moduli, and
+        the temperature T if a law depends on it in another way. Their slopes are computed with the weights of the body,
+        exact for linear fields. ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` for linear bodies and bonds
+        (``MaterialLaw.energy_by_strain``).
+
         Parameters
         ----------
         moduli : (n_local,) float64
@@ -277,15 +282,8 @@ class OfBonds(Integrands):
 
     def slopes(self, values: Float) -> Float:
         """Return the slopes of best fit of families, over remaining bonds."""
-        cloud, families, damage = self.solution.cloud, self.families, self.solution.problem.bond_damage
-        xi = families.bonds(cloud.x)
-        weight = self.term.omega * cloud.volume[families.neighbours]
-        if damage is not None:
-            weight = weight * damage.bonds.intact
-        change = values[families.neighbours] - values[families.centres]
-        K = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, xi, xi), cloud.n_owned)
-        N = sum_by(families.centres, np.einsum("b,bc,bj->bcj", weight, change, xi), cloud.n_owned)
-        return np.asarray(N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+        damage = self.solution.problem.bond_damage
+        return self.term.slopes(values, None if damage is None else damage.bonds.intact)
 
     def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
         """Return the sum over the bonds of each particle.

@@ -12,12 +12,8 @@ from pdpetsc.problem.problem import Problem
 
 def _intact(problem: Problem) -> Families:
     """Return the families without broken bonds."""
-    families = problem.body.families
-    if problem.bond_damage is None:
-        return families
-    intact = problem.bond_damage.bonds.intact
-    before = np.concatenate([[0], np.cumsum(intact)])
-    return Families(before[families.indptr], families.neighbours[intact])
+    families, damage = problem.body.families, problem.bond_damage
+    return families if damage is None else families.chosen(damage.bonds.intact)
 
 
 def fragments_of(problem: Problem, u: Float) -> tuple[list[str], Float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
@@ -98,10 +98,11 @@ def near_families(problem: Problem) -> Families:
     reach = np.zeros(cloud.n_local)
     reach_kernel(dim, dim)(families.indptr, families.neighbours, kept, cloud.x, reach[: cloud.n_owned])
     reach *= REACH
+    whole = np.diff(families.chosen(kept).indptr)
     for _ in range(WIDENINGS):
         near = _within(problem, kept, reach)
         thin = flat(whole_families(cloud, near, cloud.volume[near.neighbours]).shape_tensors(cloud.x), THIN)
-        thin &= np.diff(near.indptr) < _counts(families, kept)
+        thin &= np.diff(near.indptr) < whole
         if int(total(cloud.comm, np.count_nonzero(thin))) == 0:
             break
         reach[: cloud.n_owned][thin] *= WIDER
@@ -114,11 +115,4 @@ def _within(problem: Problem, kept: Mask, reach: Float) -> Families:
     cloud.halo.forward(reach)
     near = np.empty(len(kept), dtype=bool)
     near_bonds_kernel(problem.dim)(families.indptr, families.neighbours, kept, cloud.x, reach, near)
-    indptr: GlobalIndex = np.concatenate([[0], np.cumsum(_counts(families, near))]).astype(np.int64)
-    return Families(indptr, families.neighbours[near])
-
-
-def _counts(families: Families, chosen: Mask) -> GlobalIndex:
-    """Return the number of chosen bonds of every family (n_owned,)."""
-    before = np.concatenate([[0], np.cumsum(chosen, dtype=np.int64)])
-    return np.asarray(np.diff(before[families.indptr]))
+    return families.chosen(near)

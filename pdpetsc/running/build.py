@@ -224,7 +224,7 @@ def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
     surface = surface_of(cloud, families, facets)
     # Facets on crack faces may have bonds beside the tip.
     if case.chosen_weights.conform and not case.cracks:
-        refuse_joined(cloud, families, surface, case.particles.thickness)
+        refuse_joined(cloud, surface, case.particles.thickness)
     return surface
 
 

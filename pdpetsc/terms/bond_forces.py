@@ -346,12 +346,19 @@ class BondForces(MaterialTerm):
 
     def deformation_gradient(self, state: State) -> Float:
         """Compute the least-squares gradient of the family (n_owned, dim, dim) [-], 1 in directions not spanned."""
+        return np.eye(self.body.dim) + self.slopes(state.u_local)
+
+    def slopes(self, values: Float, intact: Mask | None = None) -> Float:
+        """Compute the slopes of best fit over families of values of local particles (n_local, k): (n_owned, k, dim).
+
+        They are 0 in directions not spanned. By default all bonds count.
+        """
         cloud, families = self.body.cloud, self.body.families
-        xi, eta = families.bonds(cloud.x), families.bonds(state.u_local)
-        weight = self._bonds.omega * cloud.volume[families.neighbours]
+        xi = families.bonds(cloud.x)
+        weight = self.omega * cloud.volume[families.neighbours] * (1.0 if intact is None else intact)
         K = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, xi, xi), cloud.n_owned)
-        N = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, eta, xi), cloud.n_owned)
-        return np.asarray(np.eye(self.body.dim) + N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+        N = sum_by(families.centres, np.einsum("b,bc,bj->bcj", weight, families.bonds(values), xi), cloud.n_owned)
+        return np.asarray(N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
 
     def first_piola_stress(self, state: State) -> Float:
         """Compute ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]: dW/dF in uniform deformation."""

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 
 import pdpetsc as pd
 from pdpetsc.post.fracture import plane_modulus
-from pdpetsc.post.inhomogeneity import explicit_derivative
+from pdpetsc.post.inhomogeneity import integrands_of, of_place
 from tests.commands import ROOT, results
 from tests.post.test_fracture_quantities import CORNER, LAW, WHERE, at, body, k_field
 
@@ -39,6 +39,12 @@ def pulled(temperature, material, **changes):
     }
     prepared = pd.prepare(pd.Case(**(declared | changes)))
     return at(prepared, lambda x: x @ (F - np.eye(2)).T)
+
+
+def explicit_derivative(solution):
+    """Return the derivative of the energy density by position at constant F (n_owned, 2)."""
+    place = of_place(solution)
+    return integrands_of(solution).explicit_derivative(place.factor, place.strain, place.temperature)
 
 
 LAWS = {

@@ -410,7 +410,7 @@ def test_what_bodies_cannot_do_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="BodyContact condition 4: A body of 2 dimensions has no side '-z'"):
         wrong = [*case.conditions[:3], pd.BodyContact("lower +y", "upper -z")]
         pd.prepare(dataclasses.replace(case, conditions=wrong))
-    with pytest.raises(pd.CaseError, match="Two contacts are named 'pair'"):
+    with pytest.raises(pd.CaseError, match="Two conditions are named 'pair'"):
         pd.prepare(dataclasses.replace(case, conditions=[*case.conditions, pd.ParticleContact(name="pair")]))
     with pytest.raises(pd.CaseError, match="corners with other vector areas"):
         solid = pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.5).surface()

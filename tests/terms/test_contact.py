@@ -414,7 +414,7 @@ def test_triangles_without_area_change_no_sign(rng):
 
 def test_names_are_not_used_twice(tmp_path):
     twice = [pd.Roller("-x"), pd.Roller("-y"), pd.Contact("+y", PRESS), pd.Contact("+x", cylinder(move=()))]
-    with pytest.raises(pd.CaseError, match="Two contacts are named 'contact'"):
+    with pytest.raises(pd.CaseError, match="Two conditions are named 'contact'"):
         pd.prepare(block(conditions=twice))
     with pytest.raises(pd.CaseError, match="Two columns of the history are named 'tool_y'"):
         pd.run(block(history={"tool_y": pd.Mean(pd.displacement, "y")}), tmp_path)

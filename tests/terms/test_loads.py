@@ -502,7 +502,7 @@ def test_a_side_that_no_particle_is_on_is_refused(support):
         pd.prepare(clamped(cloud, support))
     with pytest.raises(pd.CaseError, match="no side '-z'"):
         pd.prepare(clamped(pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.5), pd.Clamp("-z")))
-    with pytest.raises(pd.CaseError, match="requires `axis`"):
+    with pytest.raises(pd.CaseError, match="requires either `axis`"):
         pd.Roller("a set")
 
 

@@ -23,7 +23,8 @@ class RayleighDamping(Condition):
     mass : float
         [1 / time].
     stiffness : float
-        [time], for ``Explicit`` only, whose stable step it shortens; ``Implicit`` has a radius for short waves.
+        [time], for ``Explicit`` only, whose stable step it shortens; ``Implicit`` and ``SnapThrough`` have a radius for
+        short waves.
     region : Region
         Particles on which the first part acts; by default all. The second part acts on the whole body.
 
@@ -58,8 +59,8 @@ class BulkViscosity(Condition):
 
     ``sigma = rho h (c_1 c_d - c_2^2 h min(tr D, 0)) tr(D) 1`` with the rate of deformation ``D``, the spacing
     ``h = V^(1/dim)`` and the speed ``c_d`` of waves of compression in the undeformed material. It resists every change
-    of volume, and compression more. For ``Explicit`` and materials with deformation gradients; the stable step shortens
-    by ``sqrt(1 + x^2) - x`` with the largest ``x = c_1 - c_2^2 h min(tr D, 0) / c_d``.
+    of volume, and compression more. For ``Explicit``, deformation gradients and bodies without a cell. The stable step
+    shortens by ``sqrt(1 + x^2) - x`` with the largest ``x = c_1 - c_2^2 h min(tr D, 0) / c_d``.
 
     Parameters
     ----------

@@ -384,7 +384,12 @@ class SnapThrough(DeclaredSolver):
     under constant conditions, those of the end of the step, by the steps of ``Implicit``. When kinetic energy and
     inertia forces have become small, Newton's method seeks the equilibrium there; the next load steps start from it.
     All materials have a ``density``; ``RayleighDamping(mass=...)`` and ``AbsorbingBoundary`` act while the body moves.
-    The equilibrium on which a body ends that swings past several depends on the damping.
+    The equilibrium on which a body ends that swings past several depends on the damping. Parts that come loose under
+    load never rest.
+
+    Newton's method may find an equilibrium beyond the limit without a motion. In a body without damage, temperature,
+    friction and moving tools a step is refused if the work on it exceeds the change of the stored energy by 5 % of
+    both. They are those of the whole body: a local snap of less is not noticed.
 
     Parameters
     ----------

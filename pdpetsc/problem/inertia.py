@@ -50,7 +50,10 @@ class Blend:
 
 
 class ShockViscosity(Protocol):
-    """Define the interface of a viscosity of shocks."""
+    """Define the interface of a viscosity of shocks.
+
+    ``ratio`` is the largest damping ratio of waves as short as the spacing [-], by which the stable step shortens.
+    """
 
     ratio: float
 

@@ -368,7 +368,8 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     if isinstance(case.solver, SnapThrough):
         problem.snap_inertia = _inertia(case, problem, materials, applied)
     if moves := applied.moves or (applied.damps if problem.snap_inertia is None else ""):
-        raise CaseError(f"{moves} needs inertia. Use solver=pd.Explicit(...) or pd.Implicit(...).")
+        or_snaps = " or, for damping of snaps, pd.SnapThrough(...)" if applied.damps and not applied.moves else ""
+        raise CaseError(f"{moves} needs inertia. Use solver=pd.Explicit(...), pd.Implicit(...){or_snaps}.")
     if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
@@ -392,8 +393,13 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
     if applied.damping_time and isinstance(case.solver, Implicit | SnapThrough):
         name = type(case.solver).__name__
         raise CaseError(f"{name} damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out.")
-    if isinstance(case.solver, SnapThrough) and problem.material_term.timed:
-        raise CaseError("SnapThrough does not go with materials that depend on the rate. Use Implicit.")
+    timed = problem.material_term.timed or (problem.damage is not None and problem.damage.timed)
+    if isinstance(case.solver, SnapThrough) and timed:
+        raise CaseError("SnapThrough does not go with materials and failure that depend on the rate. Use Implicit.")
+    if case.cell is not None and (applied.damping_time or applied.viscosity is not None):
+        raise CaseError(
+            "BulkViscosity and RayleighDamping(stiffness=...) do not go with a periodic cell. Leave them out."
+        )
     n = cloud.n_owned
     mass = density * cloud.volume[:n]
     start = np.zeros((n, cloud.dim)) if applied.velocity is None else applied.velocity

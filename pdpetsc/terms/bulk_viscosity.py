@@ -50,20 +50,21 @@ class ViscousPressure:
         """Return the resisting forces (n_rows, dim) [force] at a state, for velocities (n_rows, dim)."""
         body, operator, dim = self._problem.body, self._term.operator, self._problem.dim
         rate = operator.gradient(State(body, velocity).u_local)
+        phi = None if self._problem.damage is None else self._problem.damage.conducting_points
+        # Points that have failed carry nothing, and their gradients may be singular.
+        kept = np.arange(len(rate)) if phi is None else np.flatnonzero(phi > 0.0)
         if self._term.linear:
-            change, J, inverse = np.einsum("pii->p", rate), np.ones(len(rate)), np.broadcast_to(np.eye(dim), rate.shape)
+            J, inverse = np.ones(len(kept)), np.broadcast_to(np.eye(dim), (len(kept), dim, dim))
         else:
-            F = self._term.deformation(state)
-            inverse, J = np.linalg.inv(F), np.linalg.det(F)
-            change = np.einsum("pij,pji->p", rate, inverse)
-        at = operator.owner
+            F = self._term.deformation(state)[kept]
+            J, inverse = np.linalg.det(F), np.linalg.inv(F)
+        change, at = np.einsum("pij,pji->p", rate[kept], inverse), operator.owner[kept]
         steep = self._declared.quadratic**2 * self._size[at] * np.maximum(-change, 0.0)
         resistance = self._declared.linear * self._speed[at] + steep
-        stress = self._density[at] * self._size[at] * resistance * change
-        phi = None if self._problem.damage is None else self._problem.damage.conducting_points
-        if phi is not None:
-            stress *= phi
+        stress = self._density[at] * self._size[at] * resistance * change * (1.0 if phi is None else phi[kept])
         self.ratio = largest(body.cloud.comm, float((resistance / self._speed[at]).max(initial=0.0)))
+        P = np.zeros_like(rate)
+        P[kept] = (J * stress)[:, None, None] * inverse.transpose(0, 2, 1)
         f = np.zeros((body.cloud.n_local, dim))
-        operator.divergence((J * stress)[:, None, None] * inverse.transpose(0, 2, 1), f)
+        operator.divergence(P, f)
         return body.gather(f)

@@ -13,8 +13,9 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 from pdpetsc.terms.facet_contact import Points
 
-# Angle below which round-off alone makes a displacement resisted.
-FLAT = 1e-6
+# Facets of a curved side resist sliding by the angles between them, which tells nothing of the side itself: directions
+# held by less than this share of the stiffness are free.
+FACETED = 0.05
 
 
 class PointSprings(Term):
@@ -97,26 +98,20 @@ class FoundationForces(PointSprings):
     ) -> None:  # fmt: skip
         along = normals[:, :, None] * normals[:, None, :]
         super().__init__(body, points, normal * along + tangential * (np.eye(body.dim) - along), name)
-        self._holds = normal > 0.0, tangential > 0.0
         n, owner = body.cloud.n_owned, points.stencils.owner
-        mean = np.zeros((n, body.dim))
-        np.add.at(mean, owner, points.area[:, None] * normals)
-        size = np.linalg.norm(mean, axis=1, keepdims=True)
-        self._normal = mean / np.where(size > 0.0, size, 1.0)
-        # Facets of a curved side resist sliding by the angles between them, which tells nothing of the side itself.
-        self._spread = np.zeros(n)
-        np.maximum.at(self._spread, owner, np.linalg.norm(normals - self._normal[owner], axis=1))
+        held = (normal > 0.0) * along + (tangential > 0.0) * (np.eye(body.dim) - along)
+        sums, area = np.zeros((n, body.dim, body.dim)), np.bincount(owner, points.area, n)
+        np.add.at(sums, owner, points.area[:, None, None] * held)
+        squares, axes = np.linalg.eigh(sums / np.where(area > 0.0, area, 1.0)[:, None, None])
+        squares[squares <= FACETED * squares[:, -1:]] = 0.0
+        # Square root of the mean projector on the directions that springs hold.
+        self._root = np.einsum("nij,nj,nkj->nik", axes, np.sqrt(squares), axes)
 
     @property
     def grounded(self) -> Mask:
         """Return the displacements of the particles with springs (n_owned, dim) (not collective)."""
-        return np.repeat(self._normal.any(axis=1)[:, None], self.body.dim, axis=1)
+        return np.repeat(self._root.any(axis=(1, 2))[:, None], self.body.dim, axis=1)
 
     def resisted(self, modes: Float) -> Float:
-        """Return the parts along and across the mean normal of each particle that springs resist (n_owned, parts)."""
-        along = (self._normal * modes).sum(axis=1)[:, None] * self._normal
-        parts = np.stack([along, modes - along], axis=1) * np.reshape(self._holds, (1, 2, 1))
-        faceting = (self._spread + FLAT) * np.linalg.norm(modes, axis=1)
-        parts[np.linalg.norm(parts, axis=2) <= faceting[:, None]] = 0.0
-        parts[~self._normal.any(axis=1)] = 0.0
-        return np.asarray(parts.reshape(len(modes), -1))
+        """Return the part of displacements (n_owned, dim) in the directions that springs hold."""
+        return np.asarray(np.einsum("nij,nj->ni", self._root, modes))

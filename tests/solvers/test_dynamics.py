@@ -673,3 +673,27 @@ def test_bulk_viscosity_acts_alike_on_two_ranks_and_is_refused_elsewhere(tmp_pat
     with pytest.raises(pd.CaseError, match="BulkViscosity needs inertia"):
         still = struck(None, pd.BulkViscosity(), solver=pd.Newton())
         pd.run(dataclasses.replace(still, conditions=[pd.Clamp("-x"), pd.BulkViscosity()]), tmp_path / "still")
+
+
+def test_a_restart_with_bulk_viscosity_is_bitwise(tmp_path):
+    law = pd.Hencky(E=1.0, nu=0.0, density=1.0)
+    case = struck(law, pd.BulkViscosity(), solver=pd.Explicit(end=0.3, records=4))
+    case = dataclasses.replace(case, particles=pd.LatticeNodes(0.0, 1.0, 0.005))
+    case = dataclasses.replace(case, conditions=[pd.Velocity("-x", x=0.2), pd.BulkViscosity()])
+    whole = pd.run(case, tmp_path / "whole").solution.u
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(case, history={"stop": Stop(0.5)}), tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half", restart_anyway=True).solution.u
+    assert np.array_equal(whole, again)
+
+
+@pytest.mark.parametrize("damping", [pd.BulkViscosity(), pd.RayleighDamping(stiffness=0.02)])
+def test_damping_by_gradients_is_refused_in_a_cell(damping, tmp_path):
+    """Images would have the velocity of their particle without that of the cell."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.25), cell=pd.Cell((0.0, 0.0), (4.0, 1.0), axes="x"),
+        material=pd.LinearElastic(E=1.0, nu=0.0, density=1.0),
+        conditions=[pd.MeanStrain(xx=-0.1), damping], solver=pd.Explicit(end=1.0),
+    )  # fmt: skip
+    with pytest.raises(pd.CaseError, match="do not go with a periodic cell"):
+        pd.run(case, tmp_path)

@@ -99,17 +99,17 @@ def test_what_it_does_not_hold_is_refused(tmp_path):
         pd.run(dataclasses.replace(free, conditions=[*free.conditions, free.conditions[1]]), tmp_path)
 
 
-def ring(path, m, *more):
-    """Return a ring of radii 1 and 2 of m by 8 m cells on a foundation outside."""
+def ring(path, m, *more, off=0.0):
+    """Return a ring of radii 1 and 2 of m by 8 m cells on a foundation outside; its hole is off the centre."""
     points, cells = [], []
     for k in range(8 * m):
         angle = 2.0 * np.pi * k / (8 * m)
-        points += [[r * np.cos(angle), r * np.sin(angle)] for r in np.linspace(1.0, 2.0, m + 1)]
+        points += [[r * np.cos(angle) + off * (2.0 - r), r * np.sin(angle)] for r in np.linspace(1.0, 2.0, m + 1)]
         first, after = k * (m + 1), (k + 1) % (8 * m) * (m + 1)
         cells += [[first + i, first + i + 1, after + i + 1, after + i] for i in range(m)]
     written(path, np.array(points), [("quad", np.array(cells))])
     outside = pd.region.Where(lambda x: np.hypot(*x.T) > 2.0 - 0.2 / m)
-    inside = pd.region.Where(lambda x: np.hypot(*x.T) < 1.0 + 0.2 / m)
+    inside = pd.region.Where(lambda x: np.hypot(x[:, 0] - off, x[:, 1]) < 1.0 + 0.2 / m)
     return pd.Case(
         particles=pd.MeshNodes(path), material=pd.LinearElastic(E=E, nu=0.0, plane="stress"),
         conditions=[pd.Pressure(inside, 1.0), *(one(outside) for one in more)], fields=[],
@@ -118,8 +118,8 @@ def ring(path, m, *more):
 
 def test_normal_springs_on_a_circle_leave_its_rotation_free(tmp_path):
     """The facets would resist it by their angles, four times less after each refinement."""
-    for m in (2, 4):
-        case = ring(tmp_path / "ring.vtk", m, lambda outside: pd.Foundation(outside, normal=K))
+    for m, off in ((2, 0.0), (4, 0.0), (3, 0.3), (6, 0.3)):
+        case = ring(tmp_path / "ring.vtk", m, lambda outside: pd.Foundation(outside, normal=K), off=off)
         with pytest.raises(pd.CaseError, match="left with 1 of 3 rigid motions"):
             pd.run(case, tmp_path / "free")
     held = ring(tmp_path / "ring.vtk", 4, lambda outside: pd.Foundation(outside, normal=K, tangential=0.1 * K))
@@ -130,6 +130,19 @@ def test_normal_springs_on_a_circle_leave_its_rotation_free(tmp_path):
     outer = (u * x).sum(axis=1)[r > 1.9] / r[r > 1.9]
     assert np.ptp(outer) < 0.02 * outer.mean()
     assert outer.mean() == pytest.approx(4.0 / (3.0 * E + 10.0 * K), rel=0.03)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_springs_on_opposite_sides_and_at_corners_hold(rows, tmp_path):
+    """A particle with facets on two sides is held along both normals."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 0.5 * rows), 0.5),
+        horizon=1.01,
+        material=pd.BondBased(E=E, plane="stress"),
+        conditions=[pd.Foundation(pd.region.All(), normal=K), pd.Traction("+x", x=1.0)],
+        fields=[],
+    )
+    assert np.isfinite(pd.run(case, tmp_path).solution.u).all()
 
 
 @pytest.mark.parametrize("angle", [0.6, 0.7, np.pi / 4.0, 0.8, 0.9, 1.3])

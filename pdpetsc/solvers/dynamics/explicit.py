@@ -45,8 +45,8 @@ SECOND, LEAST, MOST_STEPS = 10, 5, 1000
 GROWS, RESTS = 0.02, 0.005
 # Relative difference of two masses of the same body.
 SAME_MASS = 1e-6
-# Name in a checkpoint: the added mass [-].
-ADDED = "added_mass"
+# Names in a checkpoint: the added mass [-], and the damping ratio of the viscosity of shocks [-].
+ADDED, RATIO = "added_mass", "viscous_ratio"
 # Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
 # estimates of the frequency, and until the next one.
 FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "time_steps", "interval", "due"
@@ -140,6 +140,7 @@ class ExplicitSolver(Solver):
         problem.freeze(of_bonds)
         t, begun = start.t, False
         while t < 1.0 - ROUNDED:
+            dt = self._stable(largest)
             target = (math.floor(t * declared.records * (1.0 + ROUNDED)) + 1) / declared.records
             broken, taken = 0, 0
             # Steps of equal size from ``base`` on, until the stable step changes.
@@ -164,7 +165,7 @@ class ExplicitSolver(Solver):
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
                     )
-                if self._inertia.viscosity is not None and self._stable(largest) < size and number < count:
+                if inertia.viscosity is not None and number < count and self._stable(largest) < size:
                     base, number, count = at, 0, self._count(target - at, self._stable(largest))
                 if self._steps >= due:
                     now = max(self._frequency(u, at), least)
@@ -184,6 +185,8 @@ class ExplicitSolver(Solver):
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
             numbers[ADDED] = inertia.added
+            if inertia.viscosity is not None:
+                numbers[RATIO] = inertia.viscosity.ratio
             resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}
             yield Converged(u, target, result, broken=broken, resume=resume, work=work)
             problem.freeze(of_bonds)
@@ -213,6 +216,8 @@ class ExplicitSolver(Solver):
                 f"The checkpoint is of a motion with {100.0 * was:.3g} % of the mass added, not {100.0 * now:.3g} %. "
                 f"Use the same least_step."
             )
+        if self._inertia.viscosity is not None:
+            self._inertia.viscosity.ratio = start.resume.get(RATIO, self._inertia.viscosity.ratio)
         super().resume(start)
 
     def line(self, number: int, converged: Converged) -> str | None:

@@ -32,6 +32,8 @@ NEAR = 0.1
 # Share of the energy of a step that a body releases in a jump. The trapezoidal rule is off by far less along a path of
 # equilibria, even up to a limit point.
 JUMPS = 0.05
+# Kinetic energy over the largest from which a body that does not rest gets faster.
+FASTER = 0.9
 # Smallest time step over the declared one.
 LEAST = 1e-4
 
@@ -215,10 +217,12 @@ class _Motion:
         finally:
             solver.destroy()
         kinetic = self._size()[0] / self._most[0] if self._most[0] > 0.0 else 0.0
+        advice = "Take a longer end, more damping or a smaller radius"
+        if kinetic > FASTER:
+            advice = "It gets faster: hold every part of it, or end the load before it comes apart"
         raise SolveError(
             f"At step time {self._t:.6g} there is no equilibrium, and the body is not at rest after moving for "
-            f"{declared.end:g}: its kinetic energy is {kinetic:.2g} of the largest. Take a longer end, more damping or "
-            f"a smaller radius, or hold the body."
+            f"{declared.end:g}: its kinetic energy is {kinetic:.2g} of the largest. {advice}."
         )
 
     def _begin(self) -> None:

@@ -90,6 +90,7 @@ def test_a_shrink_fit_converges_to_the_pressure_of_lame(tmp_path):
     assert abs(fine) < 0.025 and abs(fine) < 0.4 * abs(coarse)
 
 
+@pytest.mark.long
 def test_an_elastic_cylinder_on_an_elastic_block_has_the_pressure_of_hertz(tmp_path):
     """NAFEMS CGS-1: 6.2146 mm and 3585.4 MPa at 35 kN per mm."""
     pressed = found("cylinder_on_block", output=tmp_path)

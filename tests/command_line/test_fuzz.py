@@ -276,6 +276,7 @@ def test_draws_in_this_process_end_as_they_say(tmp_path):
     assert draws_inside(tmp_path, range(INSIDE)) > INSIDE // 4
 
 
+@pytest.mark.long
 def test_draws_on_the_command_line_end_as_they_say(tmp_path):
     assert draws_outside(tmp_path, range(OUTSIDE)) == OUTSIDE
 

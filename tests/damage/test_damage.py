@@ -238,6 +238,7 @@ def test_a_fracture_energy_is_what_breaking_the_bonds_across_a_plane_takes(dim, 
     assert np.mean(found) == pytest.approx(Gc, rel=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("energy", [pd.FractureEnergy, lambda Gc, share=None: pd.BondEnergy(Gc=Gc, share=share)])
 def test_a_fracture_energy_serves_gradients_too(energy, tmp_path, caplog):
     """They take a share of it, which a case gives or a warning asks for."""

@@ -286,6 +286,7 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
     assert h["present"].max() < 1e-10
 
 
+@pytest.mark.long
 def test_two_cracks_meet(tmp_path):
     cracks = [pd.Segment((5.0, -1.0), (5.0, 2.1)), pd.Segment((7.0, 3.9), (7.0, 7.0))]
     far = [strip().conditions[0], dataclasses.replace(strip().conditions[1], x=2.0)]

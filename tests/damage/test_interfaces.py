@@ -323,6 +323,7 @@ def test_cracks_of_one_law_close_and_those_of_another_stay_open(kinematics, rng)
     assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["bonds", pytest.param("gradients", marks=pytest.mark.long)])
 def test_a_fibre_debonds_from_its_poles(model, tmp_path):
     """Where the pull opens the interface most; it stops where the matrix presses on the fibre, some 70 degrees on."""

@@ -258,7 +258,7 @@ def iterations(case, monkeypatch, tmp_path):
     return max(taken)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_iterations_without_a_matrix_hardly_know_the_bulk_modulus(dim, monkeypatch, tmp_path):
     """The solve with conditions as unknowns takes at most twice as many at nu = 0.4999 as at 0.3."""
     found = [

@@ -63,6 +63,7 @@ def is_in(name, room):
     return name == room or name.startswith(f"{room}.")
 
 
+@functools.cache
 def layer_of(name):
     levels = [(len(room), level) for level, rooms in enumerate(LAYERS) for room in rooms if is_in(name, room)]
     assert levels, f"{name} has no layer"
@@ -124,6 +125,7 @@ def test_petsc_and_mpi_stay_in_their_layers():
         assert not [str(path.relative_to(PACKAGE)) for path in users if part(path) not in rooms], library
 
 
+@functools.cache
 def files_of(name):
     """Return the file of a module of the package, or None for another."""
     path = PACKAGE.parent.joinpath(*name.split("."))

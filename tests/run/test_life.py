@@ -524,6 +524,7 @@ def running(pid):
         return False
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "to",
     [

@@ -836,6 +836,7 @@ def test_a_run_whose_input_files_have_changed_is_run_again(ranks, tmp_path, monk
     assert pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0].results["value"] == pytest.approx(0.6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["case.py", pytest.param("cloud.txt", marks=pytest.mark.long)])
 def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
     case, out = reading(tmp_path), tmp_path / "out"

@@ -58,7 +58,7 @@ def test_unlike_lattices_carry_a_uniform_pressure(spacings, tmp_path):
     np.testing.assert_allclose(stress[:, 0, 1], 0.0, atol=1e-6 * E)
 
 
-@pytest.mark.parametrize("kind", ["cells", "turned", "solid", "solid cells"])
+@pytest.mark.parametrize("kind", ["cells", "turned", pytest.param("solid", marks=pytest.mark.long), "solid cells"])
 def test_other_surfaces_carry_a_uniform_pressure(kind, tmp_path):
     """Cells that end at the interface, an interface at an angle, and solids: the ends come together by 0.05."""
     solid, angle = kind.startswith("solid"), 0.5 if kind == "turned" else 0.0

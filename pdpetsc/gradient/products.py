@@ -295,7 +295,7 @@ class FacetProduct(Product):
         return True
 
     def one_by_one(self) -> RankOneProduct:
-        """Return the same product with one stencil per ``a``."""
+        """Return the same product with a stencil for each ``a``."""
         of, r, n = self._stencils, self._h.shape[1], len(self._stencils.owner)
         entry, ptr = entries_of(of.point_ptr, np.repeat(np.arange(n), r))
         which = np.repeat(np.tile(np.arange(r), n), np.diff(ptr))

@@ -103,7 +103,7 @@ class Inertia(Term):
     u, v, a : (n_owned, dim) float64
         Displacement [length], velocity and acceleration of the last converged step.
     begin : (n_owned, dim) float64
-        ``s_0``, 0 for held components [force]; set by the solver.
+        ``s_0``, 0 for held components [force]; set by ``begin_step``.
     blend : Blend
         Constants of the step; set by the solver.
     active : bool
@@ -213,6 +213,11 @@ class Inertia(Term):
         if self.damper is None:
             return np.zeros_like(velocity)
         return np.where(self._free, np.einsum("nij,nj->ni", self.damper, velocity), 0.0)
+
+    def begin_step(self, internal: Float, external: Float) -> None:
+        """Store the forces (n_rows, dim) [force] at the start of the next step (not collective)."""
+        static = (internal - external)[: len(self.u)] + self.damped(self.v)
+        self.begin[:] = np.where(self._free, static, 0.0)
 
     def accelerated_by(self, force: Float, half: Float, dt: float) -> Float:
         """Return the acceleration a of ``M a + C (v_1/2 + dt a / 2) = f`` of the free components (n_owned, dim).

@@ -173,6 +173,12 @@ class Problem:
         return np.concatenate([part for part in parts if part is not None], axis=1)
 
     @property
+    def outside(self) -> list[Term]:
+        """Return the terms, besides loads, whose work on the body is not a change of their energy (not collective)."""
+        terms = [term for term in self.terms if not (term.load or term.of_solver)]
+        return [term for term in terms if term.works or type(term).energy is Term.energy]
+
+    @property
     def joined(self) -> LocalIndex:
         """Return pairs (n, 2) of local particles that terms hold together in every direction (not collective)."""
         return np.concatenate([term.joined for term in self.terms])

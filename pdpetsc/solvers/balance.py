@@ -102,6 +102,13 @@ class EnergyBalance:
             f"dissipated, where the body has stored {largest:.3g} at most"
         )
 
+    def released(self, state: State) -> float:
+        """Return the work since ``keep`` less the change of the stored energy to a passed state, over their sizes."""
+        self._found = self._held(state)
+        gained = self._found[0] - self._energy[0]
+        size = abs(self.work) + abs(gained)
+        return (self.work - gained) / size if size > 0.0 else 0.0
+
     def keep(self) -> None:
         """Begin the next step at the end of the last one (not collective)."""
         self.work, self._error = 0.0, 0.0

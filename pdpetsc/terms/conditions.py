@@ -168,7 +168,7 @@ class Applied:
 
     @property
     def damps(self) -> str:
-        """Return the name of a condition that damps a motion; an empty name if there is none (not collective)."""
+        """Return the name of a condition that damps a motion, an empty name without one (not collective)."""
         if self.damping_rate is not None:
             return "RayleighDamping"
         if self.viscosity is not None:
@@ -296,9 +296,8 @@ class Applied:
         assert surface is not None
         facets = ChosenFacets(surface, surface.select(self.body.cloud, condition.region, name))
         self._take_name(condition.name)
-        area = np.linalg.norm(facets.area, axis=1)
-        points = Points(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
-        normals = facets.area / area[:, None]
+        points = Points.on(facets)
+        normals = facets.area / points.area[:, None]
         self.following.append(
             FoundationForces(self.body, points, normals, condition.normal, condition.tangential, condition.name)
         )

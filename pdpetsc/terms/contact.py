@@ -62,8 +62,7 @@ class ContactForces(FacetContact):
         )  # fmt: skip
         self._tool = declared.tool
         self.works = self._mu > 0.0 or not declared.tool.rests
-        self._x, area = facets.x, np.linalg.norm(facets.area, axis=1)
-        self._at = Points(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
+        self._x, self._at = facets.x, Points.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))

@@ -16,6 +16,7 @@ from pdpetsc.gradient.products import FacetSprings
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
+from pdpetsc.terms.chosen_facets import ChosenFacets
 
 # Pressure over penetration of the default stiffness, in moduli over the spacing [-]. With ten times of it a tool that
 # moves by a spacing a step, with friction, needs four times as many load steps.
@@ -93,6 +94,12 @@ class Points(NamedTuple):
     of: GlobalIndex
     stencils: StencilMembers
     weights: Float
+
+    @classmethod
+    def on(cls, facets: ChosenFacets) -> Points:
+        """Return the middles of facets, each with its own multiplier."""
+        area = np.linalg.norm(facets.area, axis=1)
+        return cls(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
 
     def moved(self, u: Float) -> Float:
         """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""

@@ -50,8 +50,13 @@ class PointSprings(Term):
 
     def _force(self, state: State) -> Float:
         """Compute the forces at the points (n_points, dim) [force] (collective)."""
-        v = self._points.moved(state.u_local)
+        v = self._moved(state)
         return np.asarray(-self._points.area[:, None] * np.einsum("pij,pj->pi", self._stiffness, v))
+
+    def _moved(self, state: State) -> Float:
+        """Compute the relative displacements of the points (n_points, dim) [length] (collective)."""
+        u = state.u_local
+        return state.kept((self, "moved"), lambda: self._points.moved(u))
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the springs."""
@@ -63,7 +68,7 @@ class PointSprings(Term):
 
     def energy(self, state: State) -> float:
         """Return ``sum_p A_p v_p . C_p v_p / 2`` of this rank [energy]."""
-        return -0.5 * float((self._force(state) * self._points.moved(state.u_local)).sum())
+        return -0.5 * float((self._force(state) * self._moved(state)).sum())
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
         """Return the sum of the forces at the points by component."""
@@ -97,9 +102,10 @@ class FoundationForces(PointSprings):
         self, body: Body, points: Points, normals: Float, normal: float, tangential: float, name: str
     ) -> None:  # fmt: skip
         along = normals[:, :, None] * normals[:, None, :]
-        super().__init__(body, points, normal * along + tangential * (np.eye(body.dim) - along), name)
+        across = np.eye(body.dim) - along
+        super().__init__(body, points, normal * along + tangential * across, name)
         n, owner = body.cloud.n_owned, points.stencils.owner
-        held = (normal > 0.0) * along + (tangential > 0.0) * (np.eye(body.dim) - along)
+        held = (normal > 0.0) * along + (tangential > 0.0) * across
         sums, area = np.zeros((n, body.dim, body.dim)), np.bincount(owner, points.area, n)
         np.add.at(sums, owner, points.area[:, None, None] * held)
         squares, axes = np.linalg.eigh(sums / np.where(area > 0.0, area, 1.0)[:, None, None])

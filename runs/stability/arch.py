@@ -63,23 +63,31 @@ def case(n=8, step=0.02, horizon=2.015, solver="path"):
             "furthest": np.abs(load - exact(a)).max() / whole,
         }
 
-    return pd.Case(
-        particles=particles(n),
-        horizon=horizon * HEIGHT / n,
-        material=pd.NeoHookean(E=E, nu=0.0, plane="stress"),
-        conditions=[
-            pd.PointSupport("-x", x=0.0, y=0.0),
-            pd.PointSupport("+x", x=0.0, y=0.0),
-            pd.BodyForce(pd.region.All(), y=lambda x, t: -t * whole / HEIGHT * np.sin(K * x[:, 0])),
-        ],
+    return arch(
+        n, horizon, whole,
+        conditions=[pd.PointSupport("-x", x=0.0, y=0.0), pd.PointSupport("+x", x=0.0, y=0.0)],
         solver=pd.PathFollowing(pd.ArcLength(step=step, end=0.9), first=0.05, until=0.0),
-        history={"top": pd.Mean(pd.displacement, "y", pd.region.Nearest((0.5 * SPAN, RISE)))},
         results=results,
         expect={
             "upper": pd.Expected(1.0, absolute=0.03, source="shallow arch"),
             "lower": pd.Expected(0.0, absolute=0.1, source="shallow arch"),
         },
         picture=pd.Picture(pd.stress, "xx"),
+    )  # fmt: skip
+
+
+def arch(n, horizon, whole, conditions, **of_case):
+    """Return the arch under the load ``whole`` per length."""
+    return pd.Case(
+        particles=particles(n),
+        horizon=horizon * HEIGHT / n,
+        material=pd.NeoHookean(E=E, nu=0.0, plane="stress", density=1.0),
+        conditions=[
+            *conditions,
+            pd.BodyForce(pd.region.All(), y=lambda x, t: -t * whole / HEIGHT * np.sin(K * x[:, 0])),
+        ],
+        history={"top": pd.Mean(pd.displacement, "y", pd.region.Nearest((0.5 * SPAN, RISE)))},
+        **of_case,
     )
 
 
@@ -93,21 +101,15 @@ def snapping(n, horizon):
         return {"limit": load[k - 1] / exact(LIMIT), "landing": a[k] / beyond(load[k])}
 
     ends = pd.region.Nearest((0.0, 0.0)) | pd.region.Nearest((SPAN, 0.0))
-    return pd.Case(
-        particles=particles(n),
-        horizon=horizon * HEIGHT / n,
-        material=pd.NeoHookean(E=E, nu=0.0, plane="stress", density=1.0),
-        conditions=[
-            pd.Displacement(ends, x=0.0, y=0.0),
-            pd.BodyForce(pd.region.All(), y=lambda x, t: -t * whole / HEIGHT * np.sin(K * x[:, 0])),
-        ],
+    return arch(
+        n, horizon, whole,
+        conditions=[pd.Displacement(ends, x=0.0, y=0.0)],
         solver=pd.SnapThrough(dt=2.0, end=5000.0),
         steps=pd.Steps(13, smallest=0.002),
-        history={"top": pd.Mean(pd.displacement, "y", pd.region.Nearest((0.5 * SPAN, RISE)))},
         results=results,
         expect={
             "limit": pd.Expected(1.0, absolute=0.08, source="shallow arch"),
             "landing": pd.Expected(1.0, absolute=0.04, source="shallow arch"),
         },
         picture=pd.Picture(pd.displacement, "y"),
-    )
+    )  # fmt: skip

@@ -11,7 +11,6 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Term
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
@@ -60,7 +59,7 @@ class MotionBalance:
         # Energy released by failing bonds; None if the laws of damage tell it.
         self._lost = resume.get(LOST, 0.0) if tells and problem.bond_damage is not None else None
         others = [term for term in problem.terms if not (term.load or term.of_solver)]
-        self._outside = [term for term in others if term.works or type(term).energy is Term.energy]
+        self._outside = problem.outside
         # Tools share a name of their energy.
         names = {term.energy_of for term in self._outside if term.works}
         self._outside += [term for term in others if term.energy_of in names and term not in self._outside]

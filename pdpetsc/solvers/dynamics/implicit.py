@@ -39,7 +39,25 @@ LEAST = 1e-4
 MOST_MOVED = "most_moved"
 
 
-class ImplicitSolver(StaticSolver):
+class TimeStepSolver(StaticSolver):
+    """Solve one time step after another, each from the motion with constant acceleration.
+
+    Parameters are those of ``StaticSolver``; the problem has an inertia.
+    """
+
+    def _as_before(self, u: Float, t: float) -> int | None:
+        """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
+        inertia = inertia_of(self.problem)
+        n = len(inertia.mass)
+        again = largest(self._comm, float(not np.array_equal(u[:n], inertia.u))) > 0.0
+        if again or not inertia.active:
+            return None  # the step is solved again with other damage
+        ahead = u.copy()
+        ahead[:n] = inertia.ahead(t)
+        return self._tried(self._equilibrium.at_prescribed(ahead))
+
+
+class ImplicitSolver(TimeStepSolver):
     """Integrate a motion by generalised-alpha steps, each an equilibrium with inertia.
 
     Parameters
@@ -105,16 +123,6 @@ class ImplicitSolver(StaticSolver):
             self._most = most
         return growth, f"the local error was {off:.2g} of the largest displacement"
 
-    def _as_before(self, u: Float, t: float) -> int | None:
-        """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
-        n = len(self._inertia.mass)
-        again = largest(self._comm, float(not np.array_equal(u[:n], self._inertia.u))) > 0.0
-        if again or not self._inertia.active:
-            return None  # the step is solved again with other damage
-        ahead = u.copy()
-        ahead[:n] = self._inertia.ahead(t)
-        return self._tried(self._equilibrium.at_prescribed(ahead))
-
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint; raise CaseError if it is of another motion."""
         resume_motion(self.problem, start.resume, self._declared.end)
@@ -132,13 +140,13 @@ class ImplicitSolver(StaticSolver):
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
-        self._begin_step(*(found := forces(problem, state)))
+        inertia.begin_step(*(found := forces(problem, state)))
         balance.begin(state, *found, inertia.energy_of_free())
         recorded = start.t
         number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
         for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
             state = problem.state(converged.u, converged.t)
-            self._begin_step(*(found := forces(problem, state)))
+            inertia.begin_step(*(found := forces(problem, state)))
             balance.move(state, *found)
             number += 1
             failures += converged.failures
@@ -162,13 +170,6 @@ class ImplicitSolver(StaticSolver):
     def line(self, number: int, converged: Converged) -> str | None:
         """Return the printed line of a record, None for most of many records."""
         return super().line(number, converged) if printed(converged.t, self._last) else None
-
-    def _begin_step(self, internal: Float, external: Float) -> None:
-        """Store the forces at the start of the next step."""
-        inertia = self._inertia
-        n = len(inertia.mass)
-        static = (internal - external)[:n] + inertia.damped(inertia.v)
-        inertia.begin[:] = np.where(self._fixed[:n], 0.0, static)
 
     def _refuse_unbalanced(self, error: float, t: float) -> None:
         """Raise SolveError if the body has gained energy, or lost some that the integrator does not damp."""

@@ -103,9 +103,20 @@ def begin_motion(problem: Problem, u: Float, dt: float) -> Float:
     at_0, later = problem.supports.prescribed(0.0), problem.supports.prescribed(dt)
     start = np.where(fixed, at_0, u)
     held = ((later - at_0) / (dt * problem.duration))[:n]
-    v = np.where(fixed[:n], held, inertia.v)
-    inertia.place(start[:n], v, np.zeros_like(v), 0.0)
-    internal, external = forces(problem, problem.state(start, 0.0))
-    unbalanced = (external - internal)[:n] - inertia.damped(v)
-    inertia.place(start[:n], v, np.where(fixed[:n], 0.0, unbalanced / inertia.mass[:, None]), 0.0)
+    set_in_motion(problem, start, np.where(fixed[:n], held, inertia.v), 0.0)
     return start
+
+
+def set_in_motion(problem: Problem, u: Float, v: Float, t: float) -> tuple[Float, Float]:
+    """Set displacement, velocity and acceleration at load parameter ``t``; return internal and external forces.
+
+    ``u`` are the unknowns (n_rows, dim), ``v`` the velocities of the own particles; the forces are (n_rows, dim)
+    (collective).
+    """
+    inertia, n = inertia_of(problem), len(v)
+    inertia.place(u[:n], v, np.zeros_like(v), t)
+    internal, external = forces(problem, problem.state(u, t))
+    unbalanced = (external - internal)[:n] - inertia.damped(v)
+    free = ~problem.supports.fixed[:n]
+    inertia.place(u[:n], v, np.where(free, unbalanced / inertia.mass[:, None], 0.0), t)
+    return internal, external

@@ -14,12 +14,12 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import Interrupted, SolveError
 from pdpetsc.problem.assembly import Filler
-from pdpetsc.problem.inertia import Blend, Inertia
+from pdpetsc.problem.inertia import Blend
 from pdpetsc.problem.problem import Problem
-from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Term
+from pdpetsc.solvers.balance import EnergyBalance
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
-from pdpetsc.solvers.dynamics.motion import forces
+from pdpetsc.solvers.dynamics.implicit import TimeStepSolver
+from pdpetsc.solvers.dynamics.motion import forces, set_in_motion
 from pdpetsc.solvers.load_steps import equilibrium
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
@@ -57,6 +57,8 @@ class SnapSolver(StaticSolver):
         assert problem.snap_inertia is not None
         self._assembler, self._declared, self._inertia = assembler, declared, problem.snap_inertia
         self._inertia.blend = Blend.of(declared.radius)
+        # Whether the energies of the body are known and nothing dissipates.
+        self._judges = not problem.outside and problem.damage is None and problem.body.expansion is None
 
     @classmethod
     def make(cls, setting: Setting) -> SnapSolver:
@@ -65,7 +67,7 @@ class SnapSolver(StaticSolver):
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the converged load steps (collective)."""
-        self._last = self._measured(self.problem.state(start.u, start.t))
+        self._balance = EnergyBalance(self.problem, self.problem.state(start.u, start.t), {})
         yield from super().march(start, on_failure)
 
     def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
@@ -73,38 +75,16 @@ class SnapSolver(StaticSolver):
         growth, reason = super().too_long(u, steps)
         if growth > 1.0:
             return growth, reason
-        now = self._measured(self.state(u))
-        released = self._released(now)
+        if not self._judges:
+            return growth, ""
+        state = self.state(u)
+        self._balance.pass_by(state)
+        released = self._balance.released(state)
         if released > JUMPS:
+            self._balance.go_back()
             return 2.0, f"the body jumps, and would release {100.0 * released:.2g} % of the energy of the step"
-        self._last = now
+        self._balance.keep()
         return growth, ""
-
-    @property
-    def _judges(self) -> bool:
-        """Return True if the energies of the body are known and nothing dissipates."""
-        problem = self.problem
-        terms = [term for term in problem.terms if not (term.load or term.of_solver)]
-        silent = any(term.works or type(term).energy is Term.energy for term in terms)
-        return not silent and problem.damage is None and problem.body.expansion is None
-
-    def _measured(self, state: State) -> tuple[Float, Float, float]:
-        """Return unknowns, forces of loads and supports, and stored energy of an equilibrium."""
-        problem = self.problem
-        if not self._judges:
-            return state.u, np.zeros(0), 0.0
-        internal, external = forces(problem, state)
-        acting = np.where(problem.supports.reacting, internal, external)
-        return state.u, acting, sum(problem.energies(state).values())
-
-    def _released(self, now: tuple[Float, Float, float]) -> float:
-        """Return the work on the body since the last equilibrium less the energy that it stores, over their sizes."""
-        if not self._judges:
-            return 0.0
-        (u, force, energy), (v, before, stored) = now, self._last
-        work = float(total(self._comm, 0.5 * float(((force + before) * (u - v)).sum())))
-        size = abs(work) + abs(energy - stored)
-        return (work - (energy - stored)) / size if size > 0.0 else 0.0
 
     def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
         """Move with the conditions of load parameter ``t`` from rest at ``u`` until the body is at rest."""
@@ -120,7 +100,7 @@ class SnapSolver(StaticSolver):
             if result.converged and stable and self._distance(found, at) <= NEAR * self._distance(at, u):
                 iterations, linear = motion.iterations + result.iterations, motion.linear + result.linear_iterations
                 result = replace(result, iterations=iterations, linear_iterations=linear, easy=False, moved=motion.time)
-                self._last = self._measured(self.state(found))
+                self._balance = EnergyBalance(self.problem, self.state(found), {})
                 return found, result, motion.broken + broken, sweeps
             self.problem.revert()
             self._equilibrium.forget()
@@ -151,26 +131,6 @@ class SnapSolver(StaticSolver):
             problem.terms.remove(self._inertia)
             problem.inertia, problem.last_step = None, kept
             self._equilibrium.forget()
-
-    def new_step_solver(self) -> _StepSolver:
-        """Return a solver of time steps (collective)."""
-        return _StepSolver(self.problem, self._assembler, self.stop, self._inertia)
-
-
-class _StepSolver(StaticSolver):
-    """Solve one time step after another, each from the motion with constant acceleration."""
-
-    def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], inertia: Inertia) -> None:
-        super().__init__(problem, assembler, stop)
-        self._inertia = inertia
-
-    def _as_before(self, u: Float, t: float) -> int | None:
-        n = len(self._inertia.mass)
-        if largest(self._comm, float(not np.array_equal(u[:n], self._inertia.u))) > 0.0:
-            return None  # the step is solved again with other damage
-        ahead = u.copy()
-        ahead[:n] = self._inertia.ahead(t)
-        return self._tried(self._equilibrium.at_prescribed(ahead))
 
 
 class _Motion:
@@ -204,7 +164,8 @@ class _Motion:
         Interrupted
             A signal requested a stop.
         """
-        declared, solver = self._of._declared, self._of.new_step_solver()
+        of, declared = self._of, self._of._declared
+        solver = TimeStepSolver(of.problem, of._assembler, of.stop)
         try:
             if self._balance is None:
                 self._begin()
@@ -228,20 +189,14 @@ class _Motion:
     def _begin(self) -> None:
         """Start from rest."""
         problem, inertia = self._of.problem, self._of._inertia
-        fixed, n = problem.supports.fixed, len(inertia.mass)
-        self.u = np.where(fixed, problem.supports.prescribed(self._t), self.u)
+        self.u = np.where(problem.supports.fixed, problem.supports.prescribed(self._t), self.u)
         inertia.step = 0.0
-        still = np.zeros_like(inertia.v)
-        inertia.place(self.u[:n], still, still, self._t)
-        state = problem.state(self.u, self._t)
-        internal, external = forces(problem, state)
-        a = np.where(fixed[:n], 0.0, (external - internal)[:n] / inertia.mass[:, None])
-        inertia.place(self.u[:n], still, a, self._t)
+        internal, external = set_in_motion(problem, self.u, np.zeros_like(inertia.v), self._t)
         self._balance = MotionBalance(problem, inertia, {}, tells=False)
-        self._balance.begin(state, internal, external, 0.0)
-        self._begin_step(internal, external)
+        self._balance.begin(problem.state(self.u, self._t), internal, external, 0.0)
+        inertia.begin_step(internal, external)
 
-    def _step(self, solver: _StepSolver) -> None:
+    def _step(self, solver: TimeStepSolver) -> None:
         """Make one time step, halved until it converges."""
         of, problem, inertia = self._of, self._of.problem, self._of._inertia
         problem.start_from(problem.state(self.u, self._t))
@@ -273,17 +228,11 @@ class _Motion:
                 f"In the motion at step time {self._t:.6g} the body gained {error:.2g} of its largest energy; take a "
                 f"shorter dt."
             )
-        self._begin_step(internal, external)
-
-    def _begin_step(self, internal: Float, external: Float) -> None:
-        """Store the forces at the start of the next step."""
-        inertia, n = self._of._inertia, len(self._of._inertia.mass)
-        static = (internal - external)[:n] + inertia.damped(inertia.v)
-        inertia.begin[:] = np.where(self._of.problem.supports.fixed[:n], 0.0, static)
+        inertia.begin_step(internal, external)
 
     def _size(self) -> Float:
         """Return the kinetic energy [energy] and the norm of the inertia forces [force]."""
-        inertia, free = self._of._inertia, ~self._of.problem.supports.fixed[: len(self._of._inertia.mass)]
-        force = np.where(free, inertia.mass[:, None] * inertia.a, 0.0)
+        inertia = self._of._inertia
+        force = inertia.inertial(self._of.problem.state(self.u, self._t))
         sums = total(self._of.problem.body.cloud.comm, [inertia.energy_of_free(), float((force**2).sum())])
         return np.array([sums[0], np.sqrt(sums[1])])

@@ -39,6 +39,7 @@ from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.conditions import (
+    Acceleration,
     BodyForce,
     Centrifugal,
     Displacement,
@@ -159,6 +160,7 @@ __version__ = "0.2.0"
 __all__ = [
     "SOLVERS",
     "AbsorbingBoundary",
+    "Acceleration",
     "AdaptiveSteps",
     "ArcLength",
     "Arrays",

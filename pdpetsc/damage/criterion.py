@@ -72,7 +72,7 @@ class DamageableBonds:
         ``material_of`` and ``factor`` are those of the own particles (n_owned,); by default one material without
         grading.
         """
-        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+        length = families.lengths(cloud.x)
         number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
         if material_of is not None:
             number[: cloud.n_owned] = material_of

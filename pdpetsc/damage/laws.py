@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.damage.criterion import Criterion, DamageableBonds
 from pdpetsc.damage.critical import ConstantCritical, FractureEnergy
 from pdpetsc.damage.evolution import DamageEvolution, LargestStretch
@@ -155,9 +155,9 @@ class BondDamage(Declared, ABC):
         """Return the law for a small body on which its loops are compiled."""
         return LinearSoftening(ConstantCritical(1.0), effect=self.effect)
 
-    def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
+    def assign(self, bonds: DamageableBonds, mark: Marking) -> LocalIndex:
         """Return the number of the law of each bond (n_bonds,): 0, or -1 for a protected bond (collective)."""
-        of_bond = np.zeros(bonds.families.n_bonds, dtype=np.int64)
+        of_bond = np.zeros(bonds.families.n_bonds, dtype=np.int32)
         of_bond[bonds_at(self.protected, bonds, mark)] = -1
         return of_bond
 

@@ -137,7 +137,7 @@ class DamageOf(Declared):
         found += [] if self.protected is None else [("What damage is protected from", self.protected)]
         return found + [place for law in self._given for place in law.places]
 
-    def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
+    def assign(self, bonds: DamageableBonds, mark: Marking) -> LocalIndex:
         """Return the number in ``all_laws`` of the law of each bond (n_bonds,), -1 for none (collective)."""
         cloud, families = bonds.cloud, bonds.families
         part, (place, number) = self._parts(cloud, mark), self._table()
@@ -152,7 +152,7 @@ class DamageOf(Declared):
                     f"{_named(frozenset(pair)).capitalize()} share bonds, and DamageOf has no law for these; give one, "
                     f"or None where they do not fail."
                 )
-        of_bond: GlobalIndex = number[at]
+        of_bond: LocalIndex = number[at].astype(np.int32)
         for law_number, law in enumerate(self.all_laws):
             of_bond[(of_bond == law_number) & bonds_at(law.protected, bonds, mark)] = -1
         of_bond[bonds_at(self.protected, bonds, mark)] = -1
@@ -214,12 +214,12 @@ class AssignedLaws:
     ----------
     laws : sequence of BondDamage
         All laws.
-    of_bond : (n_bonds,) int64
+    of_bond : (n_bonds,) int32
         The law of each bond, -1 for a bond that does not fail.
     """
 
     laws: Sequence[BondDamage]
-    of_bond: GlobalIndex
+    of_bond: LocalIndex
 
     def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Build the driving variable of the bonds (not collective)."""
@@ -244,11 +244,17 @@ class AssignedLaws:
 
     def onset(self) -> Float:
         """Return the driving variable at onset of each bond (n_bonds,), infinite without a law."""
-        return np.array([*(law.onset for law in self.laws), np.inf])[self.of_bond]
+        return self._of_bonds([law.onset for law in self.laws])
 
     def final(self) -> Float:
         """Return the driving variable at which each bond breaks (n_bonds,), infinite without a law."""
-        return np.array([*(law.final for law in self.laws), np.inf])[self.of_bond]
+        return self._of_bonds([law.final for law in self.laws])
+
+    def _of_bonds(self, values: Sequence[float]) -> Float:
+        """Return the value of the law of each bond (n_bonds,), infinite without a law; equal values are stored once."""
+        if len(set(values)) == 1 and not (self.of_bond < 0).any():
+            return np.broadcast_to(values[0], len(self.of_bond))
+        return np.array([*values, np.inf])[self.of_bond]
 
     def phi(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return the degradation factor of selected bonds at driving variables x (n,)."""
@@ -278,11 +284,11 @@ class SeveralDrivingVariables(DrivingVariable):
     ----------
     driving_variables : sequence of DrivingVariable
         Driving variable of all bonds, for each law.
-    of_bond : (n_bonds,) int64
+    of_bond : (n_bonds,) int32
         The law of each bond, -1 for none.
     """
 
-    def __init__(self, driving_variables: Sequence[DrivingVariable], of_bond: GlobalIndex) -> None:
+    def __init__(self, driving_variables: Sequence[DrivingVariable], of_bond: LocalIndex) -> None:
         self._driving_variables, self._of_bond = driving_variables, of_bond
         self.is_nonlocal = any(driving_variable.is_nonlocal for driving_variable in driving_variables)
         self.reads_points = any(driving_variable.reads_points for driving_variable in driving_variables)

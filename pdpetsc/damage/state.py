@@ -61,11 +61,12 @@ class FailingBonds:
         self.protected: GlobalIndex = np.flatnonzero(laws.of_bond < 0)
         # Bonds of a particle with its own mirror image, and bonds stored from one end only, count twice in sums over
         # both ends.
-        keys = bonds.keys()
-        own = keys[:, 0] == keys[:, 1]
-        alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
-        self._first: Mask = alone | (bonds.cloud.gid[bonds.families.centres] == keys[:, 0])
-        self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(keys[:, 2]) == keys[:, 2]))
+        cloud, families = bonds.cloud, bonds.families
+        i, j = cloud.gid[families.centres], cloud.gid[families.neighbours]
+        place = cloud.place[families.neighbours]
+        alone = ~reached_back(cloud, families, bonds.length)
+        self._first: Mask = alone | (i <= j)
+        self._twice: Mask = alone | ((i == j) & (cloud.places.opposite(place) == place))
         self.phi: Float = np.ones(len(self.length))
         self.kappa: Float = np.zeros(len(self.length))
         self.frozen = False
@@ -83,12 +84,15 @@ class FailingBonds:
         return self.laws.softens and not self.frozen
 
     def commit(self) -> None:
-        """Store the present state (not collective)."""
-        self._kept = self.phi.copy(), self.kappa.copy()
+        """Store the present state of the weakened bonds (not collective)."""
+        lost = self.weakened
+        self._kept = lost, self.phi[lost], self.kappa[lost]
 
     def revert(self) -> None:
-        """Restore the last stored state (not collective)."""
-        self.phi[:], self.kappa[:] = self._kept
+        """Restore the last stored state; intact bonds have no history (not collective)."""
+        lost, phi, kappa = self._kept
+        self.phi[:], self.kappa[:] = 1.0, 0.0
+        self.phi[lost], self.kappa[lost] = phi, kappa
 
     def following(self, x: Float) -> tuple[Float, GlobalIndex, Float]:
         """Compute the damage at driving variables x, without updating it (not collective).

@@ -19,7 +19,7 @@ from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
 # Panels between the times of a schedule and points in each for integrals over time: velocities that are polynomials of
-# degree seven between these times are integrated exactly.
+# degree seven between these times are integrated exactly, and accelerations of degree six.
 PANELS, POINTS = 4, 4
 
 # A number, multiplied by the schedule, or a function of positions (n, dim) and load parameter that returns (n,) values,
@@ -191,7 +191,48 @@ class InitialVelocity(VectorCondition):
 
 
 @dataclass(frozen=True)
-class Velocity(VectorCondition):
+class DrivenMotion(VectorCondition):
+    """A prescribed derivative of the displacement of a region by time, in a motion.
+
+    Attributes
+    ----------
+    order : int
+        Order of the derivative.
+    """
+
+    order: ClassVar[int]
+
+    def put(self, onto: Any, name: str) -> None:
+        """Prescribe the displacement."""
+        onto.driven_motion(self, name)
+
+    def moved(self, component: Value, duration: float) -> Callable[[Float, float], Float]:
+        """Return the displacement (n,) [length] as a function of positions and step time.
+
+        ``duration`` is the time of the whole motion [time]. The displacement is the integral of ``(t - s)^(order - 1)``
+        times the prescribed values over the times ``s`` up to ``t``.
+        """
+        schedule, name, power = self.schedule or Hold(), type(self).__name__, self.order - 1
+        breaks = np.asarray(getattr(schedule, "times", ()), dtype=float)
+        points = list(zip(*scipy.special.roots_legendre(POINTS), strict=True))
+
+        def displacement(x: Float, t: float) -> Float:
+            ends = np.concatenate([[0.0], breaks[(breaks > 0.0) & (breaks < t)], [t]])
+            whole = np.zeros(len(x))
+            for begin, end in itertools.pairwise(ends.tolist()):
+                panels = np.linspace(begin, end, PANELS + 1)
+                half = 0.5 * (panels[1] - panels[0])
+                for s, weight in points:
+                    for middle in (panels[:-1] + half).tolist():
+                        at = middle + half * float(s)
+                        whole += weight * half * (t - at) ** power * values_of(name, component, schedule, x, at)
+            return duration**self.order * whole
+
+        return displacement
+
+
+@dataclass(frozen=True)
+class Velocity(DrivenMotion):
     """Prescribed velocity of a region in a motion (``Implicit``, ``Explicit``); the region moves with it from t = 0 on.
 
     The displacement is the integral of the velocity over time, so that it does not drift.
@@ -212,32 +253,32 @@ class Velocity(VectorCondition):
     >>> struck = pd.Velocity("-x", x=16.5, schedule=pd.Table([0.0, 0.01, 1.0], [0.0, 1.0, 1.0]))
     """
 
-    def put(self, onto: Any, name: str) -> None:
-        """Prescribe the displacement."""
-        onto.prescribed_velocity(self, name)
+    order: ClassVar[int] = 1
 
-    def moved(self, component: Value, duration: float) -> Callable[[Float, float], Float]:
-        """Return the displacement (n,) [length] as a function of positions and step time.
 
-        ``duration`` is the time of the whole motion [time].
-        """
-        schedule = self.schedule or Hold()
-        breaks = np.asarray(getattr(schedule, "times", ()), dtype=float)
-        points = list(zip(*scipy.special.roots_legendre(POINTS), strict=True))
+@dataclass(frozen=True)
+class Acceleration(DrivenMotion):
+    """Prescribed acceleration of a region in a motion (``Implicit``, ``Explicit``), which is at rest before t = 0.
 
-        def displacement(x: Float, t: float) -> Float:
-            ends = np.concatenate([[0.0], breaks[(breaks > 0.0) & (breaks < t)], [t]])
-            whole = np.zeros(len(x))
-            for begin, end in itertools.pairwise(ends.tolist()):
-                panels = np.linspace(begin, end, PANELS + 1)
-                half = 0.5 * (panels[1] - panels[0])
-                for s, weight in points:
-                    for middle in (panels[:-1] + half).tolist():
-                        at = middle + half * float(s)
-                        whole += weight * half * values_of("Velocity", component, schedule, x, at)
-            return duration * whole
+    The displacement is the double integral of the acceleration over time, so that it does not drift.
 
-        return displacement
+    Parameters
+    ----------
+    region : Region
+        The particles.
+    x, y, z : float or callable, optional
+        Components [length / time^2]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
+    schedule : callable, optional
+        Factor on the components as a function of the step time; by default 1. A jump or kink within a motion is
+        integrated exactly if it is one of the times of a ``Table``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> shaken = pd.Acceleration("-y", x=3.0, schedule=pd.Table([0.0, 0.1, 0.2, 1.0], [0.0, 1.0, -1.0, 0.0]))
+    """
+
+    order: ClassVar[int] = 2
 
 
 @dataclass(frozen=True)

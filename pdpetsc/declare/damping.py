@@ -15,16 +15,15 @@ from pdpetsc.errors import CaseError
 class RayleighDamping(Condition):
     """Damping forces ``(mass M + stiffness K_0) v`` of a motion.
 
-    ``K_0`` is the tangent of the undeformed body, material and zero-energy control. A wave of the circular frequency w
-    has the damping ratio ``mass / (2 w) + stiffness w / 2``. Several of them add up.
+    ``K_0`` is the tangent of the undeformed body, material and zero-energy control; it is refused with damage. A wave
+    of the circular frequency w has the damping ratio ``mass / (2 w) + stiffness w / 2``. Several of them add up.
 
     Parameters
     ----------
     mass : float
         [1 / time].
     stiffness : float
-        [time], for ``Explicit`` only, whose stable step it shortens; ``Implicit`` and ``SnapThrough`` have a radius for
-        short waves.
+        [time]. It shortens the stable step of ``Explicit``; ``SnapThrough`` has a radius for short waves instead.
     region : Region
         Particles on which the first part acts; by default all. The second part acts on the whole body.
 

@@ -13,8 +13,9 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.discrete.lattice_stencils import LatticeStencils, find_lattice
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, find_grid, find_lattice, listed_families
 from pdpetsc.errors import CaseError
+from pdpetsc.kernels.bonds import lengths_kernel
 from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
 
 
@@ -77,9 +78,18 @@ class Families:
         """Return ``xi = x_j - x_i`` (n_bonds, dim) [length]."""
         return np.asarray(x[self.neighbours] - x[self.centres])
 
+    def lengths(self, x: Float) -> Float:
+        """Return the length of every bond (n_bonds,) [length], the same array for the same positions."""
+        known: tuple[Float, Float] | None = self.__dict__.get("_lengths")
+        if known is None or known[0] is not x:
+            known = x, np.empty(len(self.neighbours))
+            lengths_kernel(x.shape[1])(self.indptr, self.neighbours, *known)
+            self.__dict__["_lengths"] = known
+        return known[1]
+
     def reach(self, x: Float) -> Float:
         """Compute the length of the longest bond of every own particle (n_owned,), 0 for a particle without bonds."""
-        length = np.linalg.norm(self.bonds(x), axis=1)
+        length = self.lengths(x)
         longest = np.zeros(len(self.indptr) - 1)
         np.maximum.at(longest, self.centres, length)
         return longest
@@ -213,6 +223,14 @@ def find_families(
         if lattice is not None:
             cutting.refuse_idle()
             return LatticeFamilies(lattice)
+    grid = None if cloud.varies else find_grid(cloud)
+    if int(total(cloud.comm, int(grid is None))) == 0:
+        assert grid is not None
+        with agreed(cloud.comm):
+            own = np.arange(cloud.n_owned, dtype=np.int32)
+            families = Families(*listed_families(cloud, grid, own, cutting if cutting.cuts else None))
+        cutting.refuse_idle()
+        return families
     pairs = _pairs(cloud)
     if cutting.cuts:
         with agreed(cloud.comm):

@@ -152,6 +152,22 @@ def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] 
     return spacing, index
 
 
+def listed_families(
+    cloud: Cloud, grid: Grid, particles: LocalIndex, cut: Callable[[LocalIndex], Mask] | None
+) -> tuple[GlobalIndex, LocalIndex]:
+    """Return the families of own particles as ``indptr`` and local ``neighbours``, in the order of ``Families``.
+
+    ``cut`` marks pairs of local particles (n, 2) without bond.
+    """
+    indptr, neighbours = families_of_cells(particles, grid.cell, grid.at, grid.steps, cloud.order)
+    if cut is not None:
+        number = np.repeat(np.arange(len(particles)), np.diff(indptr))
+        kept = ~cut(np.stack([particles[number], neighbours], axis=1))
+        number, neighbours = number[kept], neighbours[kept]
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(particles)))]).astype(np.int64)
+    return indptr, neighbours
+
+
 @dataclass(frozen=True)
 class IrregularRest:
     """Store the own particles with irregular families, and one representative of each pattern, as a separate body.
@@ -234,14 +250,7 @@ class LatticeStencils:
 
     def families(self, particles: LocalIndex) -> tuple[GlobalIndex, LocalIndex]:
         """Return the families of own particles as ``indptr`` and local ``neighbours``, in the order of ``Families``."""
-        grid = self.grid
-        indptr, neighbours = families_of_cells(particles, grid.cell, grid.at, grid.steps, self.cloud.order)
-        if self._cut is not None:
-            number = np.repeat(np.arange(len(particles)), np.diff(indptr))
-            kept = ~self._cut(np.stack([particles[number], neighbours], axis=1))
-            number, neighbours = number[kept], neighbours[kept]
-            indptr = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(particles)))]).astype(np.int64)
-        return indptr, neighbours
+        return listed_families(self.cloud, self.grid, particles, self._cut)
 
     def of_shared(self, values: NDArray[Number]) -> NDArray[Number]:
         """Return the value of its pattern (n_patterns, ...) for each particle with a shared family (n_shared, ...)."""

@@ -85,6 +85,8 @@ class Places:
 
     def opposite(self, place: GlobalIndex) -> GlobalIndex:
         """Return the places of home as seen from these (n,)."""
+        if self.n == 1:
+            return place
         behind, period = np.divmod(place + self.home, self.n_periods)
         return np.asarray(behind * self.n_periods + self.n_periods - 1 - period - self.home)
 

@@ -115,7 +115,7 @@ class OfNearest(NearInverse):
         else:
             reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
             reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
-            near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
+            near = families.lengths(cloud.x) <= NEAR * reach[families.centres]
             counts = np.bincount(families.centres[near], minlength=n)
             ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
             members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))

@@ -160,6 +160,44 @@ class PointBlocks(Product):
         return True
 
 
+class ScaledProduct(Product):
+    """A number times another product, which has no blocks of its own.
+
+    Parameters
+    ----------
+    product : Product
+        The other product.
+    factor : float
+        The number [-].
+    """
+
+    def __init__(self, product: Product, factor: float) -> None:
+        self._product, self._factor = product, factor
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the product for scaled displacements."""
+        self._product.add_product(self._factor * du, f, particles)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add scaled rows."""
+        part = Entries.zeros(entries.sparsity, entries.component)
+        self._product.add_rows(part)
+        for values, added in ((entries.diag, part.diag), (entries.off, part.off), (entries.ghost, part.ghost)):
+            values += self._factor * added
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add scaled blocks, if they are available."""
+        part = np.zeros_like(blocks)
+        known = self._product.add_point_blocks(part)
+        blocks += self._factor * part
+        return known
+
+    def stiffness(self) -> Float | None:
+        """Return the scaled stiffness."""
+        D = self._product.stiffness()
+        return None if D is None else self._factor * D
+
+
 class PointProduct(Product):
     """``H^T (W A) G`` over gradient points.
 

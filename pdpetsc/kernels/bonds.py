@@ -35,6 +35,23 @@ def direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
 
 
 @lru_cache
+def lengths_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``lengths(indptr, neighbours, x, length)``: writes the reference length of every bond."""
+
+    @compiled
+    def lengths(indptr, neighbours, x, length):  # type: ignore[no-untyped-def]
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                square = 0.0
+                for m in range(dim):
+                    xi = x[neighbours[b], m] - x[i, m]
+                    square += xi * xi
+                length[b] = np.sqrt(square)
+
+    return lengths
+
+
+@lru_cache
 def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the smallest length, or NaN."""
 

@@ -152,7 +152,7 @@ def _near(body: Body, columns: GlobalIndex, held: Float, width: tuple[int, int])
     n = cloud.n_owned
     reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
     reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
-    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    length = families.lengths(cloud.x)
     # Both ends of a bond must count it as short.
     far = np.zeros((cloud.n_local, 1))
     far[:n, 0] = NEAR * reach

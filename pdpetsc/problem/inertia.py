@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.products import PointBlocks, Product
+from pdpetsc.gradient.products import PointBlocks, Product, ScaledProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -47,6 +47,16 @@ class Blend:
         alpha_m, alpha_f = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
         shift = 1.0 - alpha_m + alpha_f
         return cls(alpha_m, alpha_f, 0.25 * shift**2, shift - 0.5)
+
+
+class Resistance(Protocol):
+    """Define the interface of the stiffness ``K_0`` in damping: a sum of ``products``, applied to unknowns."""
+
+    products: list[Product]
+
+    def __call__(self, du: Float) -> Float:
+        """Return ``K_0 du`` (n_rows, dim) [force] (collective)."""
+        ...
 
 
 class ShockViscosity(Protocol):
@@ -86,7 +96,7 @@ class Inertia(Term):
     dashpots : (n_owned, dim, dim) float64, optional
         Further damping of each own particle [force time / length].
     damping_time : float
-        Factor of the stiffness in the damping of explicit steps [time].
+        Factor of the stiffness in the damping [time].
     duration : float
         Physical time from load parameter 0 to 1 [time].
 
@@ -111,6 +121,8 @@ class Inertia(Term):
     step : float or None
         Time since the last converged step in a motion at constant load [time]; None if the load parameter determines
         it.
+    resistance : Resistance or None
+        ``K_0`` of implicit steps; set by the solver.
     viscosity : ShockViscosity or None
         Viscosity of shocks in explicit steps.
     error : float
@@ -138,6 +150,7 @@ class Inertia(Term):
         self._t, self._dt = 0.0, 0.0
         self.active, self.error = True, 0.0
         self.step: float | None = None
+        self.resistance: Resistance | None = None
         self.viscosity: ShockViscosity | None = None
         self.begin = np.zeros((n, dim))
 
@@ -209,13 +222,21 @@ class Inertia(Term):
         return np.where(self._free, self.mass[:, None] * self.motion(state)[1], 0.0)
 
     def damped(self, velocity: Float) -> Float:
-        """Return the forces of damping of the free components (n_owned, dim) [force] (not collective)."""
-        if self.damper is None:
-            return np.zeros_like(velocity)
-        return np.where(self._free, np.einsum("nij,nj->ni", self.damper, velocity), 0.0)
+        """Return the forces of damping of the free components (n_owned, dim) [force].
+
+        Collective with a ``resistance``.
+        """
+        force = np.zeros_like(velocity)
+        if self.damper is not None:
+            force += np.einsum("nij,nj->ni", self.damper, velocity)
+        if self.resistance is not None:
+            rows = np.zeros((self._body.cloud.n_rows, self._body.dim))
+            rows[: len(velocity)] = velocity
+            force += self.damping_time * self.resistance(rows)[: len(velocity)]
+        return np.where(self._free, force, 0.0)
 
     def begin_step(self, internal: Float, external: Float) -> None:
-        """Store the forces (n_rows, dim) [force] at the start of the next step (not collective)."""
+        """Store the forces (n_rows, dim) [force] at the start of the next step."""
         static = (internal - external)[: len(self.u)] + self.damped(self.v)
         self.begin[:] = np.where(self._free, static, 0.0)
 
@@ -257,9 +278,11 @@ class Inertia(Term):
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
         blocks = (rate * self.mass)[:, None, None] * np.eye(self._body.dim)
+        each = blend.gamma / (blend.beta * dt)
         if self.damper is not None:
-            blocks += blend.gamma / (blend.beta * dt) * self.damper
-        return [PointBlocks(blocks)]
+            blocks += each * self.damper
+        of_stiffness = [] if self.resistance is None else self.resistance.products
+        return [PointBlocks(blocks), *(ScaledProduct(one, each * self.damping_time) for one in of_stiffness)]
 
     def energy(self, state: State) -> float:
         """Return the kinetic energy of this rank [energy] (not collective)."""

@@ -23,7 +23,7 @@ from pdpetsc.declare.horizon import LEAST_RATIO, horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
-from pdpetsc.declare.solvers import Explicit, Implicit, SnapThrough
+from pdpetsc.declare.solvers import Explicit, SnapThrough
 from pdpetsc.declare.steps import Steps
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
@@ -390,9 +390,15 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
             f"{title} does not go with heat conduction, PointSupport, an inclined Roller or a cell of unknown strain. "
             f"Use Newton."
         )
-    if applied.damping_time and isinstance(case.solver, Implicit | SnapThrough):
-        name = type(case.solver).__name__
-        raise CaseError(f"{name} damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out.")
+    if applied.damping_time and isinstance(case.solver, SnapThrough):
+        raise CaseError(
+            "SnapThrough damps short waves by its radius, not by RayleighDamping(stiffness=...). Leave it out."
+        )
+    if applied.damping_time and problem.damage is not None:
+        raise CaseError(
+            "RayleighDamping(stiffness=...) has the stiffness of the undamaged body, and would hold the faces of "
+            "cracks. Leave it out, or use a radius of Implicit or BulkViscosity."
+        )
     timed = problem.material_term.timed or (problem.damage is not None and problem.damage.timed)
     if isinstance(case.solver, SnapThrough) and timed:
         raise CaseError("SnapThrough does not go with materials and failure that depend on the rate. Use Implicit.")
@@ -449,7 +455,7 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
 
 def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:
     """Return the bonds of a body with their influence (collective)."""
-    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    length = families.lengths(cloud.x)
     with agreed(cloud.comm):
         s = length / cloud.local_horizon[families.centres]
         # Bonds within the local horizon of their second end only have no share in the first.

@@ -14,6 +14,7 @@ from pdpetsc.declare.conditions import (
     Centrifugal,
     Condition,
     Displacement,
+    DrivenMotion,
     FollowerPressure,
     Force,
     InitialVelocity,
@@ -23,7 +24,6 @@ from pdpetsc.declare.conditions import (
     Traction,
     Value,
     VectorCondition,
-    Velocity,
     condition_name,
 )
 from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
@@ -93,8 +93,8 @@ class Applied:
         # Forces that depend on the displacement.
         self.following: list[Term] = []
         self._density, self._bonds, self._duration = density, bonds, duration
-        # Whether velocities are prescribed.
-        self._driven = False
+        # Name of a condition that prescribes velocities or accelerations, an empty name without one.
+        self._driven = ""
         # Initial velocities of the own particles, None for a body at rest.
         self.velocity: Float | None = None
         # Damping of a motion: rate of each own particle, stiffness of the body, and facets that absorb.
@@ -131,13 +131,13 @@ class Applied:
                 found = value if callable(value) else (lambda x, t, value=value: np.full(len(x), value))
                 self.velocity[own, axis] = condition.value(found, cloud.x[own], 0.0)
 
-    def prescribed_velocity(self, condition: Velocity, name: str) -> None:
-        """Prescribe the displacements that belong to velocities."""
+    def driven_motion(self, condition: DrivenMotion, name: str) -> None:
+        """Prescribe the displacements that belong to velocities or accelerations."""
         mask, components = self._where(condition, name)
         moved = [(axis, condition.moved(value, self._duration)) for axis, value in components]
         x, y, z = (dict(moved).get(axis) for axis in range(3))
         self.supports.prescribe(Displacement(condition.region, x, y, z), moved, np.flatnonzero(mask), name)
-        self._driven = True
+        self._driven = type(condition).__name__
 
     def rayleigh_damping(self, condition: RayleighDamping, name: str) -> None:
         """Add damping."""
@@ -164,7 +164,7 @@ class Applied:
         """Return the name of a condition that sets the body in motion; an empty name if none does (not collective)."""
         if self.velocity is not None:
             return "InitialVelocity"
-        return "Velocity" if self._driven else ""
+        return self._driven
 
     @property
     def damps(self) -> str:

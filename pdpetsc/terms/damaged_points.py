@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -69,9 +70,9 @@ class DamagedPoints(MaterialPoints):
         self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
         factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
-        operator = scheme.build(body.cloud, body.families, omega)
-        super().__init__(body, operator if weigh is None else weigh(operator), materials, material_of, factor)
-        self._whole = None if weigh is None else self.operator
+        built = scheme.build(body.cloud, body.families, omega)
+        super().__init__(body, built if weigh is None else weigh(built), materials, material_of, factor)
+        self._whole = None if self.operator.g is built.g else self.operator
         self._omega = omega
         self._scheme = scheme
         self._material_of = material_of
@@ -153,6 +154,17 @@ class DamagedPoints(MaterialPoints):
         if self._history is not None:
             self._history.give(self.operator, self.materials)
 
+    @cached_property
+    def bond_of_entry(self) -> LocalIndex:
+        """Return the bond of every entry of the operator (n_entries,), -1 for centres."""
+        operator, families = self.operator, self.body.families
+        bond = np.empty(len(operator.members), dtype=np.int32)
+        bonds_of_entries(
+            operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
+            self.body.cloud.n_local, bond,
+        )  # fmt: skip
+        return bond
+
     def scaled_weights(self, of_bond: Float) -> Float:
         """Compute ``h_pk = phi_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
         h: Float = self.operator.g * np.append(of_bond, 0.0)[self.bond_of_entry][:, None]
@@ -162,10 +174,8 @@ class DamagedPoints(MaterialPoints):
 
     def add_force(self, state: State, f: Float) -> None:
         """Add ``H^T (W P)`` with the degradation factor of the bonds at the state."""
-        T = self.damage.phi(state)
-        operator, h = self.operator, self.scaled_weights(T)
-        P = self.stress(state)
-        add_divergence(operator, h, P, f)
+        T, P = self.damage.phi(state), self.stress(state)
+        add_divergence(self.operator, self.operator.g if _all_or_nothing(T) else self.scaled_weights(T), P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
         """Return False: the degradation factor of the bonds scales only the forces of this term."""
@@ -176,8 +186,7 @@ class DamagedPoints(MaterialPoints):
         T, softens = self.damage.phi(state), self.damage.bonds.softens
         A = Moduli(self.laws(state).moduli(self.deformation(state)))
         # If all bonds are broken or intact, forces have the weights of the gradient, and a control may share the loop.
-        whole = not softens and bool(np.all((T == 0.0) | (T == 1.0)))
-        h = None if whole else self.scaled_weights(T)
+        h = None if not softens and _all_or_nothing(T) else self.scaled_weights(T)
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *(self._softening(state) if softens else [])]
 
     def _share(self, T: Float) -> Float:
@@ -273,12 +282,7 @@ class DamagedPoints(MaterialPoints):
     def _take_operator(self, operator: GradientOperator) -> None:
         self.operator = operator
         self._dead = operator.volume <= 0.0
-        self.bond_of_entry = np.empty(len(operator.members), dtype=np.int64)
-        families = self.body.families
-        bonds_of_entries(
-            operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
-            self.body.cloud.n_local, self.bond_of_entry,
-        )  # fmt: skip
+        self.__dict__.pop("bond_of_entry", None)
         number_of = self._material_of[operator.owner]
         for number, at_points in enumerate(self.materials):
             points = np.flatnonzero(number_of == number)
@@ -341,6 +345,11 @@ class DamagedPoints(MaterialPoints):
         share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
+
+
+def _all_or_nothing(phi: Float) -> bool:
+    """Return True if every bond is intact or broken, so that forces have the weights of the gradient."""
+    return bool(np.all((phi == 0.0) | (phi == 1.0)))
 
 
 def _points(operator: GradientOperator) -> GlobalIndex:

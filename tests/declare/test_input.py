@@ -96,6 +96,7 @@ VALID = [
     pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5),
     pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.5), pd.Arrays([[0.0], [1.0]], [1.0, 1.0], {"a": [0]}),
     pd.Displacement(region.All(), x=0.0), pd.InitialVelocity(region.All(), x=0.0), pd.Velocity("-x", x=1.0),
+    pd.Acceleration("-x", x=1.0),
     pd.RayleighDamping(mass=1.0),
     pd.AbsorbingBoundary("+x"), pd.Explicit(end=1.0), pd.Implicit(dt=0.5, end=1.0), pd.CrackSpeed((1.0, 0.0)),
     pd.SnapThrough(dt=0.5, end=1.0), pd.Foundation("-y", normal=1.0), pd.BulkViscosity(),

@@ -37,8 +37,11 @@ def bar(solver, n=8, start=None, law=None, **options):
     return pd.Case(**{**given, **options})
 
 
-def exact(case, times):
-    """Return the displacement of the last particle in the modes of mass and stiffness of the particles."""
+def exact(case, times, damping=0.0):
+    """Return the displacement of the last particle in the modes of mass and stiffness of the particles.
+
+    ``damping`` is the factor of the stiffness in the damping [time].
+    """
     prepared = pd.prepare(case)
     problem, n = prepared.problem, prepared.cloud.n_owned
     tangent = problem.linearised(problem.state(np.zeros((n, 1))))
@@ -50,8 +53,10 @@ def exact(case, times):
     w = np.sqrt(np.maximum(squares, 0.0))
     amounts = modes.T @ (m * v)
     last = np.argmax(prepared.cloud.x[:n][free, 0])
-    times = times[:, None]
-    return times * np.sinc(times * w / np.pi) @ (amounts * modes[last])
+    times, ratio = times[:, None], 0.5 * damping * w
+    assert ratio.max() < 1.0
+    turning = w * np.sqrt(1.0 - ratio**2)
+    return times * np.sinc(times * turning / np.pi) * np.exp(-ratio * w * times) @ (amounts * modes[last])
 
 
 def errors(solvers, tmp_path):
@@ -107,6 +112,23 @@ def test_prescribed_velocities_are_integrated(kind, tmp_path):
         pd.prepare(dataclasses.replace(case, solver=pd.Newton()))
 
 
+@pytest.mark.parametrize("kind", ["explicit", "implicit"])
+def test_prescribed_accelerations_are_integrated_twice(kind, tmp_path):
+    """A bar that is shaken at its end from rest: an acceleration that ends, and one that depends on place and time."""
+    solver = pd.Explicit(end=2.0, records=8) if kind == "explicit" else pd.Implicit(dt=0.25, end=2.0)
+    pulse = pd.Table([0.0, 0.25, 0.5, 1.0], [0.0, 1.0, 0.0, 0.0])
+    case = bar(solver, conditions=[pd.Acceleration("-x", x=3.0, schedule=pulse)])
+    history = pd.run(dataclasses.replace(case, history={"end": pd.Mean(pd.displacement, "x", "-x")}), tmp_path).history
+    t = np.array(history["time"])
+    slowing = 0.125 + 0.75 * (t - 0.5) + 1.5 * (t - 0.5) ** 2 - (t - 0.5) ** 3
+    exact_end = np.select([t < 0.5, t < 1.0], [t**3, slowing], 0.75 + 1.5 * (t - 1.0))
+    np.testing.assert_allclose(history["end"], exact_end, atol=1e-12)
+    moved = pd.Acceleration(region.All(), x=1.0).moved(lambda x, t: x[:, 0] * t**2, 2.0)
+    np.testing.assert_allclose(moved(np.array([[1.0], [3.0]]), 0.5), [4.0 / 192.0, 12.0 / 192.0], rtol=1e-13)
+    with pytest.raises(pd.CaseError, match="Acceleration needs inertia"):
+        pd.prepare(dataclasses.replace(case, solver=pd.Newton()))
+
+
 def test_explicit_steps_are_of_second_order(tmp_path):
     coarse, fine = errors([pd.Explicit(end=PERIOD, safety=s, records=4) for s in (0.1, 0.05)], tmp_path)
     assert fine < 0.01
@@ -140,6 +162,23 @@ def test_energy_is_constant_or_is_damped_as_declared(tmp_path):
         damped = pd.run(case, tmp_path / f"damped{number}").history
         assert np.abs(damped["error"]).max() < 1e-3
         assert damped["kinetic"][-1] < 0.6 * damped["kinetic"][0]
+
+
+@pytest.mark.parametrize("jacobian", ["matfree", "assembled"])
+def test_implicit_damping_by_the_stiffness_is_that_of_its_modes(jacobian, tmp_path):
+    """Of second order to the damped modes of mass and stiffness, with the balance of energy, in one iteration."""
+    damping, off = 0.02 * PERIOD, []
+    for number, n in enumerate((100, 200)):
+        case = bar(pd.Implicit(dt=PERIOD / n, end=PERIOD), start=lambda x, t: 0.1 * np.sin(0.5 * np.pi * x[:, 0]))
+        declared = [*case.conditions, pd.RayleighDamping(stiffness=damping)]
+        options = {"pd_jacobian": jacobian, "ksp_rtol": 1e-12}
+        run = pd.run(dataclasses.replace(case, conditions=declared, options=options), tmp_path / str(number))
+        reference = exact(case, np.array(run.history["time"]), damping)
+        off.append(np.abs(np.array(run.history["tip"]) - reference).max() / np.abs(reference).max())
+        assert np.abs(run.history["error"]).max() < 1e-3
+        assert run.history["kinetic"][-1] < 0.8 * run.history["kinetic"][0]
+        assert max(step["newton_iterations"] for step in run.summary["steps"]) == 1
+    assert off[1] < 1e-3 and off[0] / off[1] == pytest.approx(4.0, rel=0.1)
 
 
 def spinning(solver, n=5, dim=2):
@@ -279,8 +318,12 @@ def test_a_moving_support_does_the_work(tmp_path):
         (lambda: pd.RayleighDamping(mass=-1.0), "takes a finite number >= 0 as mass"),
         (lambda: pd.RayleighDamping(), "takes a positive mass or stiffness"),
         (
-            lambda: bar(pd.Implicit(dt=0.1, end=1.0), conditions=[pd.RayleighDamping(stiffness=1.0)]),
-            "damps short waves by its radius",
+            lambda: bar(
+                pd.Implicit(dt=0.1, end=1.0),
+                conditions=[pd.RayleighDamping(stiffness=1.0)],
+                damage=pd.Brittle(pd.ConstantCritical(0.1)),
+            ),
+            "would hold the faces of cracks",
         ),
         (
             lambda: bar(pd.Newton(), history={}, conditions=[pd.AbsorbingBoundary("-x")]),

@@ -13,12 +13,13 @@ from pdpetsc.declare.steps import Steps
 from pdpetsc.discrete.communicator import largest as largest_of
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
 from pdpetsc.solvers.dynamics.motion import (
     END,
     ERROR,
     begin_motion,
+    elastic_tangent,
     forces,
     inertia_of,
     preload,
@@ -82,8 +83,7 @@ class ExplicitSolver(Solver):
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
         self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
-        # Tangent of the undeformed body, for damping proportional to it.
-        self._resistance: Tangent | None = None
+        self._resistance = elastic_tangent(problem) if self._inertia.damping_time > 0.0 else None
 
     @classmethod
     def make(cls, setting: Setting) -> ExplicitSolver:
@@ -122,10 +122,6 @@ class ExplicitSolver(Solver):
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
-        if inertia.damping_time > 0.0:
-            rest = problem.state(np.zeros_like(u), 0.0)
-            elastic = [term for term in problem.terms if term.energy_of in ("strain", "control")]
-            self._resistance = Tangent(problem.body, [one for term in elastic for one in term.linearise(rest)])
         resume = start.resume
         largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
         self._steps = int(resume.get(STEPS, 0))

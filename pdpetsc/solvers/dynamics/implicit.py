@@ -21,6 +21,7 @@ from pdpetsc.solvers.dynamics.motion import (
     END,
     ERROR,
     begin_motion,
+    elastic_tangent,
     forces,
     inertia_of,
     preload,
@@ -82,6 +83,8 @@ class ImplicitSolver(TimeStepSolver):
         self._most = 0.0
         self._last = 0.0
         self._inertia.blend = Blend.of(declared.radius)
+        if self._inertia.damping_time > 0.0:
+            self._inertia.resistance = elastic_tangent(problem)
 
     @classmethod
     def make(cls, setting: Setting) -> ImplicitSolver:

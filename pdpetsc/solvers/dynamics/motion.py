@@ -9,7 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.inertia import Inertia
-from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.protocol import StepResult
 
@@ -56,6 +56,17 @@ def forces(problem: Problem, state: State) -> tuple[Float, Float]:
             f"or look for zero-energy modes."
         )
     return internal, problem.external_force(state)
+
+
+def elastic_tangent(problem: Problem) -> Tangent:
+    """Return the tangent ``K_0`` of material and control in the undeformed body (collective).
+
+    It is that of the undeformed body only if the materials have no history yet.
+    """
+    rest = problem.state(np.zeros(problem.supports.fixed.shape), 0.0)
+    _ = rest.u_local
+    elastic = [term for term in problem.terms if term.energy_of in ("strain", "control")]
+    return Tangent(problem.body, [one for term in elastic for one in term.linearise(rest)])
 
 
 def inertia_of(problem: Problem) -> Inertia:

@@ -175,7 +175,7 @@ class DamagedPoints(MaterialPoints):
     def add_force(self, state: State, f: Float) -> None:
         """Add ``H^T (W P)`` with the degradation factor of the bonds at the state."""
         T, P = self.damage.phi(state), self.stress(state)
-        add_divergence(self.operator, self.operator.g if _all_or_nothing(T) else self.scaled_weights(T), P, f)
+        add_divergence(self.operator, self.operator.g if self._broken_or_intact(T) else self.scaled_weights(T), P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
         """Return False: the degradation factor of the bonds scales only the forces of this term."""
@@ -186,8 +186,15 @@ class DamagedPoints(MaterialPoints):
         T, softens = self.damage.phi(state), self.damage.bonds.softens
         A = Moduli(self.laws(state).moduli(self.deformation(state)))
         # If all bonds are broken or intact, forces have the weights of the gradient, and a control may share the loop.
-        h = None if not softens and _all_or_nothing(T) else self.scaled_weights(T)
+        h = None if self._broken_or_intact(T) else self.scaled_weights(T)
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *(self._softening(state) if softens else [])]
+
+    def _broken_or_intact(self, T: Float) -> bool:
+        """Return True if every bond is, for factors ``T`` (n_bonds,), so that forces have the weights of the gradient.
+
+        A bond without force that softens is in the gradient until it breaks at the next equilibrium.
+        """
+        return not self.damage.bonds.softens and bool(np.all((T == 0.0) | (T == 1.0)))
 
     def _share(self, T: Float) -> Float:
         """Compute the mean degradation factor of the unbroken bonds of each own particle (n_owned,) [-]."""
@@ -345,11 +352,6 @@ class DamagedPoints(MaterialPoints):
         share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
-
-
-def _all_or_nothing(phi: Float) -> bool:
-    """Return True if every bond is intact or broken, so that forces have the weights of the gradient."""
-    return bool(np.all((phi == 0.0) | (phi == 1.0)))
 
 
 def _points(operator: GradientOperator) -> GlobalIndex:

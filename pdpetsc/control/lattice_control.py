@@ -89,11 +89,9 @@ class LatticeControl(Control):
         if not isinstance(operator, LatticeGradient):
             return None
         irregular = self._irregular.of_gradient(operator.irregular)
-        return (
-            None
-            if irregular is None
-            else self._of(operator.weights, BondGradient(self._alone.bond_stiffness, irregular.K))
-        )
+        if not isinstance(irregular, BondGradient):
+            return None
+        return self._of(operator.weights, BondGradient(self._alone.bond_stiffness, irregular.K))
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""

@@ -11,8 +11,9 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import (
     FLAT,
-    BondGradient,
     GradientOperator,
+    SameGradient,
+    Springs,
     StencilMembers,
     whole_families,
     with_centres,
@@ -23,13 +24,8 @@ from pdpetsc.kernels.control import (
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
-from pdpetsc.kernels.gradient import inverses
 from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
-from pdpetsc.kernels.tangent import same_gradient_kernel
-
-# Tolerance for equal weights of two gradients, as a share of the largest weight.
-SAME = 1e-12
 
 
 class NonUniform(Control):
@@ -123,16 +119,12 @@ class NonUniform(Control):
         kernel(family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks)
         return True
 
-    def of_gradient(self, operator: GradientOperator) -> BondGradient | None:
-        """Return ``s_ij`` and ``K_i`` if H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
-        n, n_bonds = len(self._K_inverse), len(self._stiffness)
-        if self._phi is not None or operator.n_points != n or len(operator.members) != n_bonds + n:
+    def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return the data of the control for the loop over ``operator`` if H is its gradient, else None."""
+        if self._phi is not None:
             return None
-        deviation = same_gradient_kernel(self._cloud.dim)
-        data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
-        if deviation(*data) > SAME:
-            return None
-        return BondGradient(self._stiffness, inverses(self._K_inverse))
+        springs = Springs(self._families, self._stiffness, self._K_inverse, self._cloud.x)
+        return operator.same_gradient(springs)
 
     def scaled(self, share: Float) -> NonUniform:
         """Return the control with ``s_ij`` times the share of ``i``; H is unchanged."""

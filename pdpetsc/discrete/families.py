@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.discrete.lattice_stencils import LatticeStencils, find_grid, find_lattice, listed_families
+from pdpetsc.discrete.lattice_stencils import Grid, LatticeStencils, find_grid, find_lattice, listed_families
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import lengths_kernel
 from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
@@ -29,10 +29,13 @@ class Families:
         Start of each family.
     neighbours : (n_bonds,) int32
         Local index of ``j``.
+    grid : Grid or None
+        Lattice of the particles; None if they are on none, or the families are not all within one horizon.
     """
 
     indptr: GlobalIndex
     neighbours: LocalIndex
+    grid: Grid | None = None
 
     @property
     def n_bonds(self) -> int:
@@ -228,7 +231,7 @@ def find_families(
         assert grid is not None
         with agreed(cloud.comm):
             own = np.arange(cloud.n_owned, dtype=np.int32)
-            families = Families(*listed_families(cloud, grid, own, cutting if cutting.cuts else None))
+            families = Families(*listed_families(cloud, grid, own, cutting if cutting.cuts else None), grid)
         cutting.refuse_idle()
         return families
     pairs = _pairs(cloud)

@@ -50,6 +50,8 @@ class Grid:
         Cell of each local particle.
     steps : (n_family,) int64
         Differences of cell numbers to the members of a complete family.
+    xi : (n_family, dim) float64
+        Bonds to these members [length].
     axis_steps : (dim,) int64
         Difference of cell numbers to the next cell along each axis.
     """
@@ -58,6 +60,7 @@ class Grid:
     at: LocalIndex
     cell: GlobalIndex
     steps: GlobalIndex
+    xi: Float
     axis_steps: GlobalIndex
 
     def onto(self, values: Float) -> Float:
@@ -122,7 +125,7 @@ def find_grid(cloud: Cloud) -> Grid | None:
     around = np.array(list(itertools.product(*(range(-int(n), int(n) + 1) for n in wide))), dtype=np.int64)
     length = np.linalg.norm(around * spacing, axis=1)
     around = around[(length > 0.0) & (length <= reach)]
-    return Grid(spacing, at, cell, around @ axis_steps, axis_steps)
+    return Grid(spacing, at, cell, around @ axis_steps, around * spacing, axis_steps)
 
 
 def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,16 +15,19 @@ from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
+from pdpetsc.kernels.control import non_uniform_force_kernel
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.sparsity import transpose
-from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
+from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel, same_gradient_kernel
 
 # A family is flat if the smallest eigenvalue of its shape tensor is below this share of the mean eigenvalue.
 FLAT = 1e-6
 # Below this share a part of a family, such as a sector, has no gradient point of its own. Sectors of a lattice have
 # more than 0.2.
 THIN = 1e-2
+# Tolerance for equal weights of two gradients, as a share of the largest weight.
+SAME = 1e-12
 # Largest number of particles that an error message lists.
 NAMED_IDS = 5
 
@@ -152,6 +156,30 @@ class GradientOperator(StencilMembers):
         """Return True if ``divergence`` can add the forces of a control together with those of stresses."""
         return isinstance(same, BondGradient)
 
+    @property
+    def listed(self) -> GradientOperator:
+        """Return the operator with all weights listed: itself (not collective)."""
+        return self
+
+    def changed(self, volume: Float | None = None, note: str | None = None) -> GradientOperator:
+        """Return the operator with other volumes of its points (n_points,), or with a further note."""
+        found = copy.copy(self)
+        found.__dict__.pop("listed", None)
+        if volume is not None:
+            found.__dict__["volume"] = volume
+        if note is not None:
+            found.__dict__["note"] = "; ".join(filter(None, [self.note, note]))
+        return found
+
+    def same_gradient(self, springs: Springs) -> SameGradient | None:
+        """Return the data of a control for the loop over this operator if both have the same gradient, else None."""
+        n, n_bonds = len(springs.K_inverse), len(springs.stiffness)
+        if self.n_points != n or len(self.members) != n_bonds + n:
+            return None
+        deviation = same_gradient_kernel(springs.x.shape[1])
+        data = self.point_ptr, self.members, self.g, springs.stiffness, springs.K_inverse, springs.x
+        return BondGradient(springs.stiffness, inverses(springs.K_inverse)) if deviation(*data) <= SAME else None
+
     def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
         """Return ``H^T (W A) G`` for moduli A; forces have the weights ``h`` (n_entries, dim), by default g."""
         return ListedLoop(self, A.listed, h)
@@ -193,6 +221,35 @@ class Moduli:
     def listed(self) -> Float:
         """Return the moduli of all points (n_points, dim, dim, dim, dim) [stress]."""
         return self.values if self.of is None else self.values[self.of]
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Springs ``s_ij |eta_ij - H_i xi_ij|^2 / 2`` of the bonds of whole families.
+
+    Attributes
+    ----------
+    families : Families
+        The bonds.
+    stiffness : (n_bonds,) float64
+        ``s_ij`` [force / length].
+    K_inverse : (n_owned, dim, dim) float64
+        Inverse of ``sum_j s_ij xi (x) xi``, which gives ``H_i`` [1 / (force length)].
+    x : (n_local, dim) float64
+        Positions [length].
+    """
+
+    families: Families
+    stiffness: Float
+    K_inverse: Float
+    x: Float
+
+    def add_forces(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add ``s_ij z_ij`` of selected own particles to ``j`` and its opposite to ``i``; return their energy."""
+        kernel, energy = non_uniform_force_kernel(self.x.shape[1]), np.empty(len(particles))
+        data = self.families.indptr, self.families.neighbours, self.stiffness, self.stiffness, self.K_inverse, self.x
+        kernel(particles, *data, u, f, energy)
+        return float(energy.sum())
 
 
 class SameGradient:

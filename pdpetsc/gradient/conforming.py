@@ -77,6 +77,7 @@ def conforming(
     """
     s = np.zeros((cloud.n_local, cloud.dim))
     surface.spread(surface.area, s)
+    given, operator = operator, operator.listed
     system = ConformingSystem(cloud, operator, find_pieces(cloud, families))
     sums = np.bincount(
         operator.members,
@@ -87,7 +88,7 @@ def conforming(
     excess = system.excess(operator.g, s)
     before = largest(cloud.comm, float(np.abs(excess).max(initial=0.0)))
     if before <= TOLERANCE * scale:
-        return operator
+        return given
     g, left, after, iterations = operator.g, excess, before, 0
     for near_inverse in near_inverses(system):
         near = near_inverse(system, families)
@@ -113,7 +114,7 @@ def conforming(
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."
         )
     note = _judged(cloud, operator, g, iterations)
-    return replace(operator, g=g, note="; ".join(filter(None, [operator.note, note])))
+    return replace(operator, g=g).changed(note=note)
 
 
 def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int) -> str:

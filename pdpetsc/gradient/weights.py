@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
@@ -119,8 +119,7 @@ class Unsuited(Standard):
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
         """Return the operator unchanged, with a note."""
-        note = f"{MAY_NOT_CONVERGE}. {self.why}"
-        return replace(operator, note="; ".join(filter(None, [operator.note, note])))
+        return operator.changed(note=f"{MAY_NOT_CONVERGE}. {self.why}")
 
 
 # Weights by their name in case files.

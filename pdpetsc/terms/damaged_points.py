@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import Gradient
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, FlatFamilies
@@ -71,8 +71,9 @@ class DamagedPoints(MaterialPoints):
         factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
         built = scheme.build(body.cloud, body.families, omega)
-        super().__init__(body, built if weigh is None else weigh(built), materials, material_of, factor)
-        self._whole = None if self.operator.g is built.g else self.operator
+        weights = built if weigh is None else weigh(built)
+        super().__init__(body, weights, materials, material_of, factor)
+        self._whole = None if weights is built else self.operator
         self._omega = omega
         self._scheme = scheme
         self._material_of = material_of
@@ -157,7 +158,11 @@ class DamagedPoints(MaterialPoints):
     @cached_property
     def bond_of_entry(self) -> LocalIndex:
         """Return the bond of every entry of the operator (n_entries,), -1 for centres."""
-        operator, families = self.operator, self.body.families
+        return self._bonds_of(self.operator)
+
+    def _bonds_of(self, operator: GradientOperator) -> LocalIndex:
+        """Return the bond of every entry of an operator (n_entries,), -1 for centres."""
+        families = self.body.families
         bond = np.empty(len(operator.members), dtype=np.int32)
         bonds_of_entries(
             operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
@@ -175,11 +180,15 @@ class DamagedPoints(MaterialPoints):
     def add_force(self, state: State, f: Float) -> None:
         """Add ``H^T (W P)`` with the degradation factor of the bonds at the state."""
         T, P = self.damage.phi(state), self.stress(state)
-        add_divergence(self.operator, self.operator.g if self._broken_or_intact(T) else self.scaled_weights(T), P, f)
+        if self._broken_or_intact(T):
+            self.operator.divergence(P, f)
+        else:
+            add_divergence(self.operator, self.scaled_weights(T), P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Return False: the degradation factor of the bonds scales only the forces of this term."""
-        return False
+        """Add the forces of a control on the same gradient too, unless a factor scales only those of this term."""
+        whole = self._broken_or_intact(self.damage.phi(state))
+        return whole and super().add_force_together(other, state, f)
 
     def linearise(self, state: State) -> list[Product]:
         """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of ``phi`` unless frozen."""
@@ -247,9 +256,9 @@ class DamagedPoints(MaterialPoints):
         squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", F, F))
         tension = np.maximum(np.sqrt(np.maximum(squares, 0.0)) - 1.0, 0.0)
         positive = np.einsum("pij,pj,pkj->pik", axes, tension, axes)
-        entries, first = entries_of(operator.point_ptr, points)
-        bonds, of = self.bond_of_entry[entries], np.repeat(np.arange(len(points)), np.diff(first))
-        served = (bonds >= 0) & operator.g[entries].any(axis=1)
+        part = operator.at(points)
+        bonds, of = self._bonds_of(part), np.repeat(np.arange(len(points)), np.diff(part.point_ptr))
+        served = (bonds >= 0) & part.g.any(axis=1)
         bonds, of = bonds[served], of[served]
         xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]
         if free is not None:  # use the force-free length of the bond
@@ -278,6 +287,9 @@ class DamagedPoints(MaterialPoints):
 
     def _at_points(self, T: Float) -> Float:
         """Compute the mean degradation factor of the bonds of every point (n_points,)."""
+        centres, n = self.body.families.centres, self.body.cloud.n_owned
+        if self.operator.n_points == n:  # over whole families
+            return np.asarray(np.bincount(centres, T, n) / np.maximum(np.bincount(centres, minlength=n), 1))
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 
@@ -316,23 +328,24 @@ class DamagedPoints(MaterialPoints):
                 detached |= more
         self.n_detached = int(total(cloud.comm, np.count_nonzero(detached)))
         volume = np.where(detached[operator.owner], 0.0, self._by_bonds_left(operator))
-        return replace(operator, g=self._weights_left(operator), volume=volume)
+        return self._with_weights_left(operator).changed(volume=volume)
 
-    def _weights_left(self, operator: GradientOperator) -> Float:
-        """Return the weights (n_entries, dim); families that have lost no bond keep their initial weights.
+    def _with_weights_left(self, operator: GradientOperator) -> GradientOperator:
+        """Return the operator with the initial weights of families that have lost no bond.
 
         Conforming weights depend on the whole body, but a broken bond changes only those of its two ends: the faces of
         a growing crack have no facets.
         """
         if self._whole is None:
-            return operator.g
+            return operator
         n = self.body.cloud.n_owned
         hurt = np.zeros(n, dtype=bool)
         hurt[self.body.families.centres[~self.damage.bonds.intact]] = True
-        g, whole = operator.g.copy(), self._whole
+        operator, whole = operator.listed, self._whole.listed
+        g = operator.g.copy()
         of, before = operator.owner[_points(operator)], whole.owner[_points(whole)]
         g[~hurt[of]] = whole.g[~hurt[before]]
-        return g
+        return replace(operator, g=g)
 
     def _by_bonds_left(self, operator: GradientOperator) -> Float:
         """Compute the volumes of the points; if the damage evolution requires it, broken bonds reduce them.
@@ -347,9 +360,11 @@ class DamagedPoints(MaterialPoints):
         weight = self._omega * cloud.volume[self.body.families.neighbours]
         left = np.bincount(centres, weight * self.damage.bonds.intact, n) / np.bincount(centres, weight, n)
         left = self._effect.volume_left(left)
-        whole = np.add.reduceat(cloud.volume[operator.members], operator.point_ptr[:-1])
-        of_point = whole - cloud.volume[operator.owner]
-        share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
+        share = np.ones(operator.n_points)
+        if operator.n_points > n:
+            whole = np.add.reduceat(cloud.volume[operator.members], operator.point_ptr[:-1])
+            of_point = whole - cloud.volume[operator.owner]
+            share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
 

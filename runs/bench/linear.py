@@ -34,6 +34,8 @@ from pdpetsc.running.build import make_cloud, make_families, make_problem, rehea
 
 RTOL = 1e-8
 APPLIED = 5
+# Bonds whose keys are in memory at once.
+BONDS = 1_000_000
 SCRATCH = ("pattern", "allocation", "assembly", "preconditioner", "iterations")
 
 
@@ -54,9 +56,11 @@ class Clock:
 def failed_bonds(problem, share):
     """Break a share of the bonds, the same from both ends and on any ranks."""
     bonds = problem.damage.bonds
-    keys = bonds.of.keys()
-    number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
-    bonds.phi[number % 1000 < 1000 * share] = 0.0
+    for start in range(0, len(bonds.phi), BONDS):
+        part = slice(start, start + BONDS)
+        keys = bonds.of.keys(part)
+        number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
+        bonds.phi[part][number % 1000 < 1000 * share] = 0.0
     problem.bonds_restored()
 
 

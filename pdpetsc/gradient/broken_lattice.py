@@ -1,0 +1,327 @@
+"""The gradient operator of a lattice with broken bonds: weights of its steps, and the steps that each family lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.lattice_stencils import Grid, Rows, rows_of
+from pdpetsc.gradient.base import (
+    SAME,
+    ControlledGradient,
+    GradientOperator,
+    Moduli,
+    PointLoop,
+    SameGradient,
+    Springs,
+    stencil_weights,
+    with_centres,
+)
+from pdpetsc.kernels.broken_lattice import (
+    broken_blocks_kernel,
+    broken_force_kernel,
+    broken_gradient_kernel,
+    families_alike,
+    lacking_steps,
+    subtract_lacking,
+)
+from pdpetsc.kernels.lattice_stencils import add_from_cells
+
+# Loops over shared steps are used if families lack at most this share of them, and rows have at least SHORTEST cells
+# in the mean. Other loops are faster then.
+MOST_LACKING, SHORTEST = 0.3, 8
+NO_SETS, NO_STRESS = np.empty(0, dtype=np.int32), np.empty((0, 0, 0))
+NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
+
+# Steps up and down, components of ``w xi`` of those up, all steps, their ``w xi`` and ``w``.
+Table: TypeAlias = tuple[GlobalIndex, GlobalIndex, Float, Float, Float, GlobalIndex, Float, Float]
+
+
+@dataclass(frozen=True)
+class SharedSteps:
+    """Weights of the steps of a lattice, and the steps that the families of the own particles lack.
+
+    Attributes
+    ----------
+    grid : Grid
+        The lattice.
+    steps : (n_steps,) int64
+        Steps in cells; the second half are the opposites of the first one, which lead to higher cells.
+    xi : (n_steps, dim) float64
+        Their bonds [length].
+    w : (n_steps,) float64
+        Their weights ``omega V`` [volume].
+    number_of : (n,) int32
+        Number of each step in cells, counted from minus the longest step.
+    ptr, lacking : (n_owned + 1,) int64, (n_lacking,) int16
+        Numbers of the steps without bond of each family.
+    """
+
+    grid: Grid
+    steps: GlobalIndex
+    xi: Float
+    w: Float
+    number_of: LocalIndex
+    ptr: GlobalIndex
+    lacking: np.ndarray[tuple[int], np.dtype[np.int16]]
+
+    @property
+    def reach(self) -> int:
+        """Return the longest step in cells."""
+        return len(self.number_of) // 2
+
+    @property
+    def exceptions(self) -> tuple[GlobalIndex, np.ndarray[tuple[int], np.dtype[np.int16]]]:
+        """Return ``ptr`` and ``lacking``."""
+        return self.ptr, self.lacking
+
+    @cached_property
+    def table(self) -> Table:
+        """Return the steps with the components of their weights, as an argument of loops over rows."""
+        half, dim = len(self.steps) // 2, self.xi.shape[1]
+        wxi = self.w[:, None] * self.xi
+        x, y, z = (np.ascontiguousarray(wxi[:half, min(axis, dim - 1)]) for axis in range(3))
+        return self.steps[:half], self.steps[half:], x, y, z, self.steps, wxi, self.w
+
+    def shape_tensors(self) -> Float:
+        """Return ``K_i = sum_j w_ij xi (x) xi`` of the own particles (n_owned, dim, dim) [volume length^2]."""
+        dim = self.xi.shape[1]
+        of_steps = np.einsum("e,ei,ej->eij", self.w, self.xi, self.xi)
+        K = np.tile(of_steps.sum(axis=0), (len(self.ptr) - 1, 1, 1))
+        subtract_lacking(*self.exceptions, of_steps.reshape(-1, dim * dim), K.reshape(-1, dim * dim))
+        return K
+
+    def numbers(self, centres: LocalIndex, neighbours: LocalIndex) -> LocalIndex:
+        """Return the numbers of the steps of bonds (n,) between local particles."""
+        cell = self.grid.cell
+        return np.asarray(self.number_of[cell[neighbours] - cell[centres] + self.reach])
+
+
+def shared_steps(families: Families, weight: Float) -> SharedSteps | None:
+    """Return the shared steps of families with bond weights (n_bonds,) [volume], 0 for a broken bond.
+
+    None if the particles are on no lattice, bonds with the same step or an opposite one have different weights, or
+    loops over rows would be slower (not collective).
+    """
+    grid, n = families.grid, len(families.indptr) - 1
+    if grid is None or n == 0:
+        return None
+    up = np.flatnonzero(grid.steps > 0)
+    order = np.concatenate([up, [int(np.flatnonzero(grid.steps == -step)[0]) for step in grid.steps[up]]])
+    steps, xi = grid.steps[order], grid.xi[order]
+    n_lacking = n * len(steps) - int(np.count_nonzero(weight))
+    if n_lacking > MOST_LACKING * n * len(steps) or n < SHORTEST * len(rows_of(grid.cell[:n]).starts):
+        return None
+    number_of = np.full(2 * int(steps.max()) + 1, -1, dtype=np.int32)
+    number_of[steps + steps.max()] = np.arange(len(steps))
+    ptr, lacking, w = np.zeros(n + 1, dtype=np.int64), np.empty(n_lacking, dtype=np.int16), np.zeros(len(steps))
+    family = families.indptr, families.neighbours
+    worst = lacking_steps(grid.cell, *family, weight, number_of, steps.max(), ptr, lacking, w)
+    half = len(steps) // 2
+    if max(worst, np.abs(w[:half] - w[half:]).max()) > SAME * w.max():
+        return None
+    return SharedSteps(grid, steps, xi, w, number_of, ptr, lacking)
+
+
+class BrokenLatticeGradient(GradientOperator):
+    """``GradientOperator`` of whole families ``g_ij = w_ij K_i^-1 xi_ij`` that stores the steps that a family lacks.
+
+    ``g``, ``members`` and ``point_ptr`` list all weights on first use.
+
+    Parameters
+    ----------
+    cloud, families
+        The bonds, also broken ones.
+    steps : SharedSteps
+        Weights of the lattice, and broken bonds.
+    K_inverse : (n_owned, dim, dim) float64
+        Inverse shape tensors [1 / (volume length^2)].
+    volume : (n_owned,) float64
+        Volumes of the points [volume].
+    """
+
+    def __init__(
+        self, cloud: Cloud, families: Families, steps: SharedSteps, K_inverse: Float, volume: Float
+    ) -> None:  # fmt: skip
+        owner = np.arange(cloud.n_owned, dtype=np.int32)
+        self.__dict__.update(owner=owner, volume=volume, note="", parts=None)
+        self.__dict__.update(cloud=cloud, families=families, steps=steps, K_inverse=K_inverse, rows={})
+
+    cloud: Cloud
+    families: Families
+    steps: SharedSteps
+    K_inverse: Float
+    rows: dict[int, tuple[LocalIndex, Rows]]
+
+    @cached_property
+    def points_of(self) -> GlobalIndex:
+        """Return the point of every own particle, and their number (n_owned + 1,)."""
+        return np.arange(self.n_points + 1)
+
+    def row_loop(self, particles: LocalIndex) -> tuple[GlobalIndex, GlobalIndex, LocalIndex]:
+        """Return first cells and lengths of the rows of own particles, and the particle of each cell; cached."""
+        known = self.rows.get(id(particles))
+        if known is None or known[0] is not particles:
+            known = self.rows[id(particles)] = particles, rows_of(self.steps.grid.cell[particles])
+        return known[1].starts, known[1].lengths, self.steps.grid.at
+
+    def gradient(self, u: Float) -> Float:
+        """Return ``H_i = sum_j w_ij eta_ij (x) xi_ij K_i^-1`` (n_owned, dim, dim) for ``u`` (n_local, dim)."""
+        dim, H = u.shape[1], np.empty((self.n_points, u.shape[1], u.shape[1]))
+        data = self.steps.table, *self.steps.exceptions, self.K_inverse, self.steps.grid.onto(u)
+        broken_gradient_kernel(dim)(*self.row_loop(self.families.everyone), *data, H)
+        return H
+
+    def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
+        control, u = (None, None) if same is None else (same.control, same.u)
+        assert control is None or isinstance(control, RowSprings)
+        self.add_forces(self.families.everyone, P.reshape(len(P), -1), NO_SETS, control, u, f)
+
+    def adds_together(self, same: SameGradient | None) -> bool:
+        """Return True if a control has the same steps."""
+        return isinstance(same, RowSprings)
+
+    def same_gradient(self, springs: Springs) -> SameGradient | None:
+        """Return the control family by family; families with other stiffnesses have their own loop."""
+        steps, family = self.steps, springs.families
+        scale = np.empty(self.n_points)
+        families_alike(
+            steps.grid.cell, family.indptr, family.neighbours, springs.stiffness, steps.number_of, steps.reach,
+            *steps.exceptions, steps.w, SAME, scale,
+        )  # fmt: skip
+        apart = (scale == 0.0) & springs.K_inverse.any(axis=(1, 2))
+        return RowSprings(scale, scale[:, None, None] * springs.K_inverse, springs, apart if apart.any() else None)
+
+    def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
+        """Return ``G^T (W A) G``; if forces have other weights ``h``, list all weights."""
+        return RowLoop(self, A) if h is None else self.listed.loop(A, h)
+
+    def add_forces(
+        self, particles: LocalIndex, stress: Float, of: LocalIndex, control: RowSprings | None, u: Float | None,
+        f: Float,
+    ) -> None:  # fmt: skip
+        """Add the forces of selected own particles to ``f`` (n_local, dim) (not collective).
+
+        Parameters
+        ----------
+        stress : (n_owned, dim dim) or (n_sets, dim dim, dim dim) float64
+            Stress, or moduli that multiply the gradient of the displacement [stress].
+        of : (n_owned,) int32
+            Index of the moduli of each particle; empty if each has its own.
+        control : RowSprings, optional
+            Control on the same gradient.
+        u : (n_local, dim) float64, optional
+            Displacements [length]; not read if there are stresses and no control.
+        """
+        dim, grid = f.shape[1], self.steps.grid
+        on_cells = np.zeros((dim, len(grid.at)))
+        data = self.steps.table, *self.steps.exceptions, self.K_inverse, self.volume, stress, of
+        springs = NO_CONTROL if control is None else (control.scale, control.K_inverse)
+        broken_force_kernel(dim, int(stress.ndim == 3), int(control is not None))(
+            *self.row_loop(particles), *data, *springs, on_cells[:, :0] if u is None else grid.onto(u), on_cells
+        )
+        add_from_cells(grid.cell, on_cells, f)
+        if control is not None and control.apart is not None and u is not None:
+            control.listed.add_forces(u, f, particles[control.apart[particles]])
+
+    def at(self, points: GlobalIndex) -> GradientOperator:
+        """Return the operator of selected points (n,), ascending (not collective)."""
+        bonds, first = entries_of(self.families.indptr, points)
+        number, neighbours = np.repeat(np.arange(len(points)), np.diff(first)), self.families.neighbours[bonds]
+        step = self.steps.numbers(points[number].astype(np.int32), neighbours)
+        entries, lost = entries_of(self.steps.ptr, points)
+        n_steps = len(self.steps.steps)
+        lacking = np.repeat(np.arange(len(points)), np.diff(lost)) * n_steps + self.steps.lacking[entries]
+        weight = np.where(np.isin(number * n_steps + step, lacking), 0.0, self.steps.w[step])
+        stencils = with_centres(points.astype(np.int32), first, neighbours, weight)
+        g = stencil_weights(stencils, self.cloud.x, self.K_inverse[points])
+        return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, self.volume[points])
+
+    @cached_property
+    def listed(self) -> GradientOperator:
+        """Return the operator with all weights listed (not collective)."""
+        return self.at(np.arange(self.n_points))
+
+    @property
+    def point_ptr(self) -> GlobalIndex:
+        """Return the start of the members of each point."""
+        return self.listed.point_ptr
+
+    @property
+    def members(self) -> LocalIndex:
+        """Return the members of all points."""
+        return self.listed.members
+
+    @property
+    def g(self) -> Float:
+        """Return the weights of all members."""
+        return self.listed.g
+
+
+@dataclass(frozen=True)
+class RowSprings(SameGradient):
+    """A control on the gradient of whole families, ``1/2 sum_i c_i sum_j w_ij |eta_ij - H_i xi_ij|^2``.
+
+    Attributes
+    ----------
+    scale : (n_owned,) float64
+        ``c_i`` [force / (length volume)], 0 for families that are ``apart``.
+    K_inverse : (n_owned, dim, dim) float64
+        Inverse of ``sum_j w_ij xi (x) xi`` [1 / (volume length^2)].
+    listed : Springs
+        The same control with listed bonds.
+    apart : (n_owned,) bool or None
+        Families whose stiffness is not in proportion to ``w``; None if there are none.
+    """
+
+    scale: Float
+    K_inverse: Float
+    listed: Springs
+    apart: Mask | None
+
+
+@dataclass(frozen=True)
+class RowLoop(PointLoop):
+    """``G^T (W A) G`` of a lattice with broken bonds, with the forces of a control on the same gradient.
+
+    Attributes
+    ----------
+    operator : BrokenLatticeGradient
+        The gradient.
+    A : Moduli
+        Moduli of the points.
+    control : RowSprings or None
+        The control in the loop.
+    """
+
+    operator: BrokenLatticeGradient
+    A: Moduli
+    control: RowSprings | None = None
+
+    @property
+    def _moduli(self) -> tuple[Float, LocalIndex]:
+        """Return the moduli (n_sets, dim dim, dim dim) and the index of those of each point."""
+        size = self.A.values.shape[1] ** 2
+        return self.A.values.reshape(-1, size, size), NO_SETS if self.A.of is None else self.A.of
+
+    def controlled(self, same: SameGradient | None) -> PointLoop | None:
+        """Return the loop with a control that has the same steps; None for other controls."""
+        return RowLoop(self.operator, self.A, same) if isinstance(same, RowSprings) else None
+
+    def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the points of selected own particles for displacements (n_local, dim)."""
+        self.operator.add_forces(particles, *self._moduli, self.control, u, f)
+
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add ``W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
+        of, dim = self.operator, blocks.shape[-1]
+        grid, data = of.steps.grid, (of.steps.table, *of.steps.exceptions, of.K_inverse, of.volume)
+        kernel = broken_blocks_kernel(dim)
+        kernel(of.families.everyone, grid.cell, grid.at, *data, *self._moduli, blocks.reshape(-1, dim * dim))

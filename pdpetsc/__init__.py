@@ -58,7 +58,7 @@ from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDa
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
-from pdpetsc.declare.modes import Modes
+from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.rigid_surface import RigidSurface
 from pdpetsc.declare.schedule import Hold, Ramp, Table
@@ -213,6 +213,7 @@ __all__ = [
     "Force",
     "Foundation",
     "FractureEnergy",
+    "FrequencyResponse",
     "Graded",
     "HeatConduction",
     "HeatFlux",

@@ -2,10 +2,66 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
-from pdpetsc.declared import Count, Declared
+from pdpetsc.declared import Count, Declared, NonNegative
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class FrequencyResponse(Declared):
+    """Steady vibration under loads that oscillate about the last equilibrium, from the damped modes of the body.
+
+    The loads of the last equilibrium are the amplitudes f of the oscillating ones, ``f cos(w t)``. A quantity q of the
+    history has the complex amplitude
+
+        ``sum_k q_k (phi_k . f) (1 / (w_k^2 - w^2 + 2 i z_k w_k w) - 1 / w_k^2) + q_s``
+
+    with its derivatives ``q_k`` along the modes ``phi_k``, which have unit modal mass, and ``q_s`` along the static
+    displacement under f. The sum is over the ``count`` modes; all others respond as if they had no mass. The damping
+    ratio is ``z_k = ratio + mass / (2 w_k) + stiffness w_k / 2``. Prescribed displacements do not oscillate.
+
+    ``response.csv`` lists the amplitude of each quantity and its phase behind the loads [degrees] by frequency. Results
+    are the largest amplitude ``response_NAME``, and its frequency ``response_NAME_at``.
+
+    Parameters
+    ----------
+    frequencies : sequence of float
+        Frequencies of the loads [1 / time].
+    ratio : float
+        Damping ratio of every mode [-].
+    mass, stiffness : float
+        Factors of ``RayleighDamping`` [1 / time], [time].
+
+    Raises
+    ------
+    CaseError
+        There is no frequency, or one is negative.
+
+    References
+    ----------
+    Hughes1987, section 7.2 (damping).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> shaken = pd.FrequencyResponse([0.5 * f for f in range(100)], ratio=0.02)
+    >>> modes = pd.Modes(10, response=shaken)
+    """
+
+    frequencies: Sequence[NonNegative]
+    ratio: NonNegative = field(default=0.0, kw_only=True)
+    mass: NonNegative = field(default=0.0, kw_only=True)
+    stiffness: NonNegative = field(default=0.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not len(self.frequencies):
+            raise CaseError("FrequencyResponse needs at least one frequency.")
+        if self.ratio == self.mass == self.stiffness == 0.0:
+            raise CaseError("FrequencyResponse needs damping: a ratio, mass or stiffness.")
 
 
 @dataclass(frozen=True)
@@ -31,12 +87,14 @@ class Modes(Declared):
         Number of modes.
     of : {"frequency", "buckling"}
         What is computed.
+    response : FrequencyResponse, optional
+        Vibration under oscillating loads to compute from the modes.
 
     Raises
     ------
     CaseError
-        A material has no density or may flow, the solver is not ``Newton``, the tangent is not symmetric, or the case
-        has damage, heat conduction or a periodic cell.
+        A ``response`` is declared with buckling; or a material has no density or may flow, the solver is not
+        ``Newton``, the tangent is not symmetric, or the case has damage, heat conduction or a periodic cell.
 
     References
     ----------
@@ -51,6 +109,12 @@ class Modes(Declared):
 
     count: Count
     of: Literal["frequency", "buckling"] = "frequency"
+    response: FrequencyResponse | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.response is not None and self.of != "frequency":
+            raise CaseError("A response is computed from natural frequencies. Leave out of='buckling'.")
 
     @property
     def names(self) -> list[str]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
@@ -11,12 +11,14 @@ import scipy
 
 from pdpetsc.arrays import Float, Mask, irregular
 from pdpetsc.case import Case, ungraded
-from pdpetsc.declare.modes import Modes
+from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.solvers import Newton
 from pdpetsc.discrete.communicator import Comm, agreed, is_root, largest, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.output.progress import Report
+from pdpetsc.output.records import Table
+from pdpetsc.post.quantities import Quantity
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
@@ -24,8 +26,13 @@ from pdpetsc.solvers.protocol import Flexibility, Solver
 
 # Relative accuracy of linear solves and of eigenvalues.
 EXACT = 1e-10
+# Displacement over the mean spacing in derivatives of quantities.
+SMALL = 1e-4
 # Largest number of restarts of the eigensolver; modes that exist need some ten.
 ITERATIONS = 300
+
+
+Complex: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 
 class FoundModes(Observer):
@@ -34,6 +41,7 @@ class FoundModes(Observer):
     def __init__(self, case: Case, declared: Modes) -> None:
         self._case, self._declared = case, declared
         self._values: list[float] = []
+        self._response: dict[str, float] = {}
 
     def rehearse(self, start: Solution, report: Report) -> None:
         """Refuse what has no modes."""
@@ -64,10 +72,24 @@ class FoundModes(Observer):
                     for number, rows in enumerate(parts):
                         for where, part in rows:
                             shape[number, where] = part
+        if declared.response is not None:
+            found = response(declared.response, self._case.history, last, observed.solver, values, shapes)
+            self._write(np.asarray(declared.response.frequencies, dtype=float), found)
+
+    def _write(self, at: Float, found: Mapping[str, Complex]) -> None:
+        """Write the complex amplitude of each quantity by frequency (n,); keep the largest ones as results."""
+        header, columns = ["frequency"], [at]
+        for name, amplitude in found.items():
+            size = np.abs(amplitude)
+            header += [f"{name}_amplitude", f"{name}_phase"]
+            columns += [size, -np.degrees(np.angle(amplitude))]
+            most = int(np.argmax(size))
+            self._response |= {f"response_{name}": float(size[most]), f"response_{name}_at": float(at[most])}
+        Table(self.observed.comm, self.observed.folder / "response.csv", [header, *np.stack(columns, axis=1).tolist()])
 
     def results(self) -> Mapping[str, float]:
         """Return the frequencies or factors by name."""
-        return dict(zip(self._declared.names, self._values, strict=False))
+        return {**dict(zip(self._declared.names, self._values, strict=False)), **self._response}
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
         """Return the kind of modes and their values."""
@@ -148,6 +170,50 @@ def frequencies(
         found.append((f, y / root))
     found.sort(key=lambda one: one[0])
     return [f for f, _ in found[:count]], [shape for _, shape in found[:count]]
+
+
+def response(
+    declared: FrequencyResponse, quantities: Mapping[str, Quantity], last: Solution, solver: Solver,
+    frequencies: Sequence[float], shapes: Sequence[Float],
+) -> dict[str, Complex]:  # fmt: skip
+    """Compute the complex amplitude of each quantity by frequency of the loads (n_frequencies,).
+
+    Raises
+    ------
+    SolveError
+        The equilibrium is unstable, or no load acts.
+
+    Notes
+    -----
+    Collective.
+    """
+    problem, n, comm = last.problem, len(last.u), last.cloud.comm
+    if min(frequencies, default=0.0) <= 0.0:
+        raise SolveError("The last equilibrium is unstable, and does not vibrate about it.")
+    loads = problem.external_force(last.state)
+    if largest(comm, float(np.abs(loads).max(initial=0.0))) == 0.0:
+        raise SolveError("No load acts in the last equilibrium, so that none can oscillate. Add a load to the case.")
+    static = _flexibility(solver, last.unknowns, last.t)(loads)
+    reach = SMALL * float(total(comm, float(last.volume.sum())) / problem.body.cloud.n_global) ** (1.0 / problem.dim)
+
+    def along(direction: Float) -> Float:
+        """Return the derivatives of the quantities along a displacement (n_rows, dim)."""
+        step = reach / largest(comm, float(np.abs(direction).max(initial=0.0)))
+        ends = [Solution(problem, last.unknowns + sign * step * direction, last.t, last.step) for sign in (1.0, -1.0)]
+        one, other = (np.array([quantity.evaluate(end) for quantity in quantities.values()]) for end in ends)
+        return np.asarray((one - other) / (2.0 * step))
+
+    w = 2.0 * np.pi * np.asarray(declared.frequencies, dtype=float)
+    found = np.tile(along(static).astype(complex), (len(w), 1))
+    for frequency, shape in zip(frequencies, shapes, strict=True):
+        direction = np.zeros_like(last.unknowns)
+        direction[:n] = shape
+        own = 2.0 * np.pi * frequency
+        ratio = declared.ratio + 0.5 * declared.mass / own + 0.5 * declared.stiffness * own
+        driven = float(total(comm, float((shape * loads[:n]).sum())))
+        share = driven * (1.0 / (own**2 - w**2 + 2.0j * ratio * own * w) - 1.0 / own**2)
+        found += share[:, None] * along(direction)
+    return dict(zip(quantities, found.T, strict=True))
 
 
 def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -> tuple[list[float], list[Float]]:

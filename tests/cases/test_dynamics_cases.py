@@ -23,6 +23,12 @@ def test_waves_have_the_speeds_of_the_sums_over_a_family(model, printed, tmp_pat
     assert (speeds["group_8"] < 0.0) == (model == "correspondence")
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("words", ["model=bonds dim=2 wave=S", "dim=2", "model=bonds dim=3", "dim=3 wave=S horizon=2"])
+def test_waves_in_the_plane_and_in_space_have_the_speeds_of_the_sums(words, tmp_path):
+    assert found("dispersion", *words.split(), output=tmp_path)["largest_error"] < 1e-9
+
+
 @pytest.mark.parametrize(
     ("words", "error"),
     [("dim=1", 0.01), pytest.param("dim=1 explicit=no", 0.01, marks=pytest.mark.long), ("dim=3", 0.015)],

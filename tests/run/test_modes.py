@@ -55,6 +55,61 @@ def test_a_bar_of_bonds_and_one_of_two_materials(tmp_path):
     assert run["frequency_1"] == pytest.approx(w / (2.0 * np.pi), rel=0.01)
 
 
+DRIVEN = {"end": pd.Mean(pd.displacement, "x", "+x"), "held": pd.Reaction("x", "-x")}
+
+
+def response(tmp_path, count=4, **damping):
+    """Return the table of amplitude and phase of a bar with an oscillating force at its end, and its run."""
+    at = np.linspace(0.0, 1.2 * along(2)[1], 60)
+    modes = pd.Modes(count, response=pd.FrequencyResponse(at.tolist(), **damping))
+    conditions = [pd.Clamp("-x"), pd.Traction("+x", x=0.05)]
+    run = pd.run(bar(conditions=conditions, modes=modes, history=DRIVEN), tmp_path)
+    return np.genfromtxt(tmp_path / "response.csv", delimiter=",", names=True), run
+
+
+@pytest.mark.parametrize("damping", [{"mass": 2.0}, {"stiffness": 0.004}, {"mass": 1.0, "stiffness": 0.002}])
+def test_a_bar_responds_to_an_oscillating_force_as_it_should(damping, tmp_path):
+    """``u = f tan(k L) / (E' k)``, ``k^2 = rho w (w - i m) / E'``, ``E' = E (1 + i w s)``, and the support's force."""
+    table, run = response(tmp_path, **damping)
+    w = 2.0 * np.pi * table["frequency"]
+    w[0] = 1e-9
+    modulus = E * (1.0 + 1j * w * damping.get("stiffness", 0.0))
+    k = np.sqrt(RHO * w * (w - 1j * damping.get("mass", 0.0)) / modulus)
+    # The reaction is that of the stiffness alone, without damping.
+    exact = {
+        "end": 0.05 * np.tan(k * LENGTH) / (modulus * k),
+        "held": -0.05 / np.cos(k * LENGTH) * E / modulus,
+    }
+    for name, amplitude in exact.items():
+        found = table[f"{name}_amplitude"] * np.exp(-1j * np.radians(table[f"{name}_phase"]))
+        assert np.abs(found - amplitude).max() < 0.03 * np.abs(amplitude).max(), name
+    most = int(np.argmax(table["end_amplitude"]))
+    assert run["response_end"] == table["end_amplitude"][most] and run["response_end_at"] == table["frequency"][most]
+
+
+def test_other_modes_respond_as_statics(tmp_path):
+    """One mode and the static rest are close to twelve modes around the first frequency, and equal at none."""
+    one, _ = response(tmp_path / "one", 1, ratio=0.05)
+    many, _ = response(tmp_path / "many", 12, ratio=0.05)
+    below = one["frequency"] < 1.5 * along(1)[0]
+    size = many["end_amplitude"].max()
+    assert np.abs(one["end_amplitude"] - many["end_amplitude"])[below].max() < 0.01 * size
+    for table in (one, many):
+        assert table["end_amplitude"][0] == pytest.approx(0.05 * LENGTH / E, rel=1e-6)
+
+
+def test_what_does_not_respond_is_refused(tmp_path):
+    shaken = pd.FrequencyResponse([1.0], ratio=0.1)
+    with pytest.raises(pd.CaseError, match="needs damping"):
+        pd.FrequencyResponse([1.0])
+    with pytest.raises(pd.CaseError, match="at least one frequency"):
+        pd.FrequencyResponse([], ratio=0.1)
+    with pytest.raises(pd.CaseError, match="computed from natural frequencies"):
+        pd.Modes(2, of="buckling", response=shaken)
+    with pytest.raises(pd.SolveError, match="No load acts"):
+        pd.run(bar(modes=pd.Modes(1, response=shaken), history=DRIVEN), tmp_path)
+
+
 def strip(stretch):
     """Return a thin strip that is held at both ends and stretched."""
     return pd.Case(

@@ -61,6 +61,11 @@ class DeclaredSolver(Declared):
     restarts: ClassVar[bool] = True
 
     @property
+    def conserving(self) -> bool:
+        """Return True if stresses are those of steps that conserve energy and angular momentum."""
+        return False
+
+    @property
     def duration(self) -> float | None:
         """Return the physical time of a motion with inertia [time], None for equilibria."""
         return None
@@ -340,10 +345,14 @@ class Implicit(DeclaredSolver):
         Largest local error of a time step, over the largest displacement so far, both as root mean squares over the
         mass [-]. A step with a larger error is halved, and the next ones grow as far as the error allows, up to ``dt``.
         The error is ``|beta - 1 / 6| dt^2 |a - a_0|``. By default all steps are ``dt``.
+    energy_momentum : bool
+        If True, energy and angular momentum are conserved at finite deformation too: the stress of a step is that of
+        ``EnergyMomentum``. It needs a radius of 1, deformation gradients and elastic materials without damage,
+        temperature and ``MeanDilatation``.
 
     References
     ----------
-    Chung1993; Zienkiewicz1991 (error).
+    Chung1993; Zienkiewicz1991 (error); Gonzalez2000 (energy and momentum).
 
     Examples
     --------
@@ -357,6 +366,7 @@ class Implicit(DeclaredSolver):
     preload: bool = field(default=False, kw_only=True)
     every: Count = field(default=1, kw_only=True)
     error: Positive | None = field(default=None, kw_only=True)
+    energy_momentum: bool = field(default=False, kw_only=True)
 
     title = "Implicit dynamics"
 
@@ -364,11 +374,18 @@ class Implicit(DeclaredSolver):
         super().__post_init__()
         if not 0.0 <= self.radius <= 1.0:
             raise CaseError(f"Implicit takes a radius from 0 to 1, not {self.radius:g}.")
+        if self.energy_momentum and self.radius != 1.0:
+            raise CaseError(f"energy_momentum of Implicit needs a radius of 1, not {self.radius:g}, which damps.")
         if self.dt > self.end or self.end / self.dt > MOST_STEPS:
             raise CaseError(
                 f"Implicit goes from 0 to {self.end:g} in steps of {self.dt:g}; take at least 1 and at most "
                 f"{MOST_STEPS} steps."
             )
+
+    @property
+    def conserving(self) -> bool:
+        """Return True if declared."""
+        return self.energy_momentum
 
     @property
     def duration(self) -> float:

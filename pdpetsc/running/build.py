@@ -49,6 +49,7 @@ from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Material
+from pdpetsc.material.energy_momentum import EnergyMomentum
 from pdpetsc.material.graded import Graded
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_conforming
@@ -323,6 +324,8 @@ class OfParticles:
 
 def _problem(case: Case, body: Body, materials: OfParticles, options: Options | None = None) -> Problem:
     damage: DamageModel | None = None
+    if case.solver.conserving:
+        materials = _conserving(case, materials)
     material_term: MaterialTerm
     others: list[Term]
     bonds: Neighbourhood | None = None
@@ -374,6 +377,21 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem
+
+
+def _conserving(case: Case, materials: OfParticles) -> OfParticles:
+    """Return the materials of steps that conserve energy and momentum; those of linear materials do already."""
+    wrong = ""
+    if case.of_bonds:
+        wrong = "needs deformation gradients, which a bond-based body does not have"
+    elif case.damage is not None or case.expands or case.gradients.patches is not None:
+        wrong = "does not go with damage, temperature and MeanDilatation"
+    elif any(law.has_history for law in materials.at_points):
+        wrong = "needs elastic materials"
+    if wrong:
+        raise CaseError(f"energy_momentum of Implicit {wrong}. Leave it out.")
+    laws = [law if law.linear else EnergyMomentum(law, density=law.density) for law in materials.at_points]
+    return replace(materials, materials=laws)
 
 
 def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Applied) -> Inertia:

@@ -271,6 +271,47 @@ def test_a_restart_moves_as_if_the_run_had_not_stopped(explicit, tmp_path):
     assert np.array_equal(again.history["error"], whole.history["error"][5:])
 
 
+def test_long_steps_conserve_energy_and_angular_momentum(tmp_path):
+    """A soft square turns by half a radian a step; the plain step of radius 1 gains energy and loses spin."""
+    off, spin = {}, RHO * 4.0 * (1.0 - 1.0 / 25.0) / 6.0
+    for conserving in (True, False):
+        solver = pd.Implicit(dt=0.1, end=1.0, energy_momentum=conserving)
+        case = dataclasses.replace(spinning(solver), options={"snes_rtol": 1e-11})
+        run = pd.run(case, tmp_path / str(conserving))
+        off[conserving] = np.abs(run.history["error"]).max(), abs(momenta(run)[1] / spin - 1.0)
+    assert max(off[True]) < 1e-10 and min(off[False]) > 1e-3
+
+
+def test_a_restart_of_conserving_steps_is_exact(tmp_path):
+    case = spinning(pd.Implicit(dt=0.1, end=0.8, energy_momentum=True), dim=3, n=3)
+    case = dataclasses.replace(case, checkpoints=1)
+    whole = pd.run(case, tmp_path / "whole")
+    with pytest.raises(pd.RunError):
+        pd.run(dataclasses.replace(case, history={**case.history, "stop": Stopping()}), tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
+    assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
+    assert np.abs(whole.history["error"]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"material": pd.J2(E=E, nu=0.3, yield_stress=1.0, density=RHO)}, "needs elastic materials"),
+        ({"damage": pd.Brittle(pd.ConstantCritical(0.1))}, "does not go with damage"),
+        (
+            {"material": pd.BondBased(E=E, density=RHO), "scheme": None, "control": None},
+            "needs deformation gradients",
+        ),
+    ],
+)
+def test_what_does_not_conserve_is_refused(changes, said, tmp_path):
+    case = spinning(pd.Implicit(dt=0.1, end=1.0, energy_momentum=True))
+    with pytest.raises(pd.CaseError, match=said):
+        pd.prepare(dataclasses.replace(case, **changes))
+    with pytest.raises(pd.CaseError, match="needs a radius of 1"):
+        pd.Implicit(dt=0.1, end=1.0, radius=0.9, energy_momentum=True)
+
+
 @pytest.mark.parametrize("explicit", [True, False])
 @pytest.mark.parametrize(("length", "time", "force"), [(1e-6, 1e-9, 1e-20), (1e3, 1e6, 1e20)])
 def test_units_change_nothing(explicit, length, time, force, tmp_path):

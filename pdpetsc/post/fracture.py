@@ -38,7 +38,7 @@ from pdpetsc.post.inhomogeneity import (
 )
 from pdpetsc.post.integrands import integrands_of
 from pdpetsc.post.quantities import CrackTip, Quantity
-from pdpetsc.post.solution import Field, Solution
+from pdpetsc.post.solution import Field, Solution, velocity
 
 # Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
 SMALL = 0.02
@@ -212,6 +212,42 @@ def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gr
 
 
 @dataclass(frozen=True)
+class _Moving:
+    """Velocities of the owned particles and their slopes, for the kinetic energy in the integrals.
+
+    Attributes
+    ----------
+    solution : Solution
+        A state of a motion.
+    mass : (n_owned,) float64
+        Masses over the thickness [mass / length].
+    v, slopes : (n_owned, 2), (n_owned, 2, 2) float64
+        Velocity [length / time], and its derivative by position [1 / time].
+    """
+
+    solution: Solution
+    mass: Float
+    v: Float
+    slopes: Float
+
+    @classmethod
+    def of(cls, solution: Solution) -> _Moving:
+        """Return the velocities of a state (collective)."""
+        body, inertia = solution.problem.body, solution.problem.inertia
+        assert inertia is not None
+        v, rows = velocity(solution), np.zeros_like(solution.unknowns)
+        rows[: len(v)] = v
+        return cls(solution, inertia.mass / body.thickness, v, integrands_of(solution).slopes(body.with_ghosts(rows)))
+
+    def of_frame(self, domain: Domain, frame: Frame) -> float:
+        """Return ``- int (rho v^2 / 2 q,1 + q rho v . v,1) dA`` on this rank: zero unless the crack grows."""
+        q, slope = domain.weight(frame, self.solution.x)
+        along = self.slopes @ frame.turn[0]
+        each = 0.5 * (self.v**2).sum(axis=1) * slope[:, 0] + q * (self.v * along).sum(axis=1)
+        return -float(self.mass @ each)
+
+
+@dataclass(frozen=True)
 class _Release(AtTip):
     """Energy released per area of crack growth, with the explicit derivative of the energy density."""
 
@@ -222,11 +258,14 @@ class _Release(AtTip):
         return "" if self.explicit is not None else super()._why_uneven(solution, domain)
 
     def _of_loads(self, solution: Solution, domain: Domain) -> float:
-        """Return ``- int q f . H e dA`` on this rank."""
+        """Return ``- int q f . H e dA`` of loads and inertia on this rank, in a motion with the kinetic energy."""
         found, fields, (on_faces, _) = 0.0, continuum(solution), loads_in(solution, domain)
+        moving = None if solution.problem.inertia is None else _Moving.of(solution)
         for frame in domain.frames:
             H, u = frame.tensors(fields.H)[:, :, 0], solution.u @ frame.turn.T
             found += _of_loads(solution, domain, frame, u, H, on_faces)
+            if moving is not None:
+                found += moving.of_frame(domain, frame)
         return found
 
     def _with_place(self, solution: Solution, domain: Domain, rest: float, size: float) -> Number:
@@ -273,6 +312,9 @@ class JIntegral(_Release):
     work of the stress, and J depends on the radii if loading is not proportional. In bodies of bonds the fields are the
     gradient of best fit of each family, and its stress and energy density.
 
+    In a motion the inertia ``- rho a`` is a body force, and ``- int (rho v^2 / 2 q,1 + q rho v . v,1) dA`` is added: it
+    is what the kinetic energy takes from a growing crack, and zero for one that rests.
+
     Parameters
     ----------
     tip : (float, float)
@@ -298,7 +340,7 @@ class JIntegral(_Release):
 
     References
     ----------
-    Rice1968, Shih1986, Wilson1979.
+    Rice1968, Shih1986, Wilson1979; Nakamura1985 (motion).
 
     Examples
     --------

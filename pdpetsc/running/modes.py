@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import h5py
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, Mask, irregular
+from pdpetsc.arrays import Complex, Float, Mask, irregular
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.solvers import Newton
@@ -30,9 +30,6 @@ EXACT = 1e-10
 SMALL = 1e-4
 # Largest number of restarts of the eigensolver; modes that exist need some ten.
 ITERATIONS = 300
-
-
-Complex: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 
 class FoundModes(Observer):

@@ -24,6 +24,17 @@ def test_waves_have_the_speeds_of_the_sums_over_a_family(model, printed, tmp_pat
 
 
 @pytest.mark.long
+def test_J_of_a_running_crack_is_the_energy_that_it_takes(tmp_path):
+    """At 0.7 of the Rayleigh speed, 1.07, 1.06, 1.04 for n = 40, 60, 80; without the kinetic energy it is 1.17."""
+    strip = found("strip", "n=40", "energy=1.2", output=tmp_path)
+    assert strip["speed_over_rayleigh"] > 0.6
+    assert strip["J_over_energy"] == pytest.approx(1.0, abs=0.1)
+    assert strip["energy_over_Gc"] == pytest.approx(1.0, abs=0.05)
+    # Also after a preload in which points fail.
+    assert strip["energy_error"] < 0.01
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("words", ["model=bonds dim=2 wave=S", "dim=2", "model=bonds dim=3", "dim=3 wave=S horizon=2"])
 def test_waves_in_the_plane_and_in_space_have_the_speeds_of_the_sums(words, tmp_path):
     assert found("dispersion", *words.split(), output=tmp_path)["largest_error"] < 1e-9

@@ -89,7 +89,8 @@ class MotionBalance:
         self._resisted = self._inertia.damped(self._inertia.v)
         if not self._begun:
             stored, moving = self._held(state, kinetic)
-            self._at_start, self._largest = stored + moving, max(abs(stored), moving)
+            # Failing points have dissipated energy in a preload.
+            self._at_start, self._largest = stored + moving + self._dissipated(), max(abs(stored), moving)
         self._begun = True
 
     def move(self, state: State, internal: Float, external: Float, viscous: Float | None = None) -> None:
@@ -120,12 +121,16 @@ class MotionBalance:
         """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
         self.step_work = 0.0
         stored, moving = self._held(state, kinetic)
-        lost = self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
+        lost = self._dissipated()
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
         self._given = max(self._given, abs(self._at_start + self._work))
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
         return off / self._largest if self.known and self._largest > 0.0 else 0.0
+
+    def _dissipated(self) -> float:
+        """Return the energy that failing bonds have released in the motion, or points have dissipated [energy]."""
+        return self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
 
     def _acting(self, state: State, internal: Float, external: Float) -> Float:
         """Compute the forces that work on the body (n_rows, dim) [force]."""

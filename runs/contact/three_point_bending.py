@@ -10,11 +10,27 @@ above the support and below the load, which leaves the indentations out.
 
 Results: ``force`` of the upper roller on the whole beam, ``deflection`` w, ``stiffness_over_timoshenko``, and
 ``support_over_force``, twice the reaction of a support over the force.
+
+With ``damage=point`` the beam has a notch to half of its depth in the middle, and is bent until it is in two pieces:
+gradient points fail (``pd.PointDamage``) by a softening ``curve`` of strength 1 and fracture energy 3e-4, with
+correspondence and ``Silling(G)``, on a lattice beside a mirror plane. The upper roller moves down by ``load`` in
+``steps`` load steps that grow. Results: ``peak_load``, ``final_over_peak``, ``dissipated_over_Gc``, of the points that
+fail, and ``work_over_Gc``, of the upper roller by the trapezoidal rule, both over the fracture energy of the ligament;
+``balance``, the latter over stored and dissipated energy; ``support_over_force`` at the peak.
 """
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).parent.parent / "fracture"))
+import point_damage
 
 import pdpetsc as pd
 
 E, NU = 1e4, 0.3
+STRENGTH, GC, NOTCH = 1.0, 3e-4, 0.5
 SPAN, END, DEPTH, RADIUS = 8.0, 0.5, 1.0, 0.5
 
 
@@ -24,18 +40,31 @@ def timoshenko():
     return 1.0 / (SPAN**3 / (48.0 * E * inertia) + SPAN / (4.0 * shear))
 
 
-def case(n=16, friction=0.0, load=0.02, supports="rollers"):
-    dx = DEPTH / n
-    rollers = pd.choose("supports", supports, {"rollers": True, "points": False})
-    below = pd.RigidSphere((0.5 * SPAN, -RADIUS), RADIUS)
-    above = pd.RigidSphere((0.0, DEPTH + RADIUS), RADIUS, move=(0.0, -load))
+def held(supports, friction, load, dx, nearer=0.0):
+    """Return conditions by rollers or points, and what the history has of points.
+
+    Rollers begin ``nearer`` to the beam than in touch with its straight sides.
+    """
+    if pd.choose("supports", supports, {"rollers": True, "points": False}):
+        below = pd.RigidSphere((0.5 * SPAN, nearer - RADIUS), RADIUS)
+        above = pd.RigidSphere((0.0, DEPTH + RADIUS - nearer), RADIUS, move=(0.0, -load))
+        soft = pd.Foundation("-y", normal=1e-8 * E, tangential=1e-8 * E)
+        return [
+            pd.Contact("-y", below, friction, name="below"), pd.Contact("+y", above, friction, name="above"), soft
+        ], {}  # fmt: skip
     feet, head = pd.region.Sphere((0.5 * SPAN, 0.0), 1.1 * dx), pd.region.Sphere((0.0, DEPTH), 1.1 * dx)
-    if rollers:
-        held = [pd.Contact("-y", below, friction, name="below"), pd.Contact("+y", above, friction, name="above")]
-        soft, history = [pd.Foundation("-y", normal=1e-8 * E, tangential=1e-8 * E)], {}
-    else:
-        held = [pd.PointSupport(feet, y=0.0), pd.PointSupport(head, y=-load)]
-        soft, history = [], {"below_y": pd.Reaction("y", feet), "above_y": pd.Reaction("y", head)}
+    return [pd.PointSupport(feet, y=0.0), pd.PointSupport(head, y=-load)], {
+        "below_y": pd.Reaction("y", feet), "above_y": pd.Reaction("y", head)
+    }  # fmt: skip
+
+
+def case(
+    n=16, friction=0.0, load=0.02, supports="rollers", damage="none", curve="bilinear", G=0.5, horizon=2.015, steps=40
+):  # fmt: skip
+    if pd.choose("damage", damage, {"none": False, "point": True}):
+        return of_points(n, friction, load, supports, curve, G, horizon, steps)
+    dx = DEPTH / n
+    conditions, reactions = held(supports, friction, load, dx)
 
     def results(h):
         force, w = -2.0 * h["above_y"][-1], h["support"][-1] - h["middle"][-1]
@@ -49,10 +78,10 @@ def case(n=16, friction=0.0, load=0.02, supports="rollers"):
     return pd.Case(
         particles=pd.LatticeNodes((0.0, 0.0), (0.5 * SPAN + END, DEPTH), dx),
         material=pd.LinearElastic(E=E, nu=NU, plane="stress"),
-        conditions=[pd.Roller("-x"), *held, *soft],
+        conditions=[pd.Roller("-x"), *conditions],
         steps=pd.Steps(2),
         history={
-            **history,
+            **reactions,
             "support": pd.At((0.5 * SPAN, 0.5 * DEPTH), pd.displacement, "y"),
             "middle": pd.At((0.0, 0.5 * DEPTH), pd.displacement, "y"),
         },
@@ -63,3 +92,53 @@ def case(n=16, friction=0.0, load=0.02, supports="rollers"):
         },
         picture=pd.Picture(pd.stress, "xx", scale=10.0),
     )
+
+
+def of_points(n, friction, load, supports, curve, G, horizon, steps):
+    """Return the notched beam whose gradient points fail."""
+    dx = DEPTH / n
+    # The middles of facets touch, half a spacing beside the rollers.
+    conditions, reactions = held(supports, friction, load, dx, RADIUS - np.sqrt(RADIUS**2 - 0.25 * dx**2))
+    shape = pd.choose("curve", curve, point_damage.CURVES)
+    away = pd.region.Slab("x", low=0.5 * DEPTH)
+
+    def results(h):
+        force = -2.0 * np.array(h["above_y"])
+        peak, whole = int(np.argmax(force)), GC * (DEPTH - NOTCH)
+        work = load * float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(h["t"])))
+        taken = 2.0 * sum(h[name][-1] for name in ("stored", "control", "dissipated"))
+        return {
+            "peak_load": force[peak],
+            "final_over_peak": force[-1] / force[peak],
+            "dissipated_over_Gc": 2.0 * h["dissipated"][-1] / whole,
+            "work_over_Gc": work / whole,
+            "balance": work / taken,
+            "support_over_force": 2.0 * h["below_y"][peak] / force[peak],
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (0.5 * SPAN + END, DEPTH), dx),
+        symmetry=[pd.Symmetry("x")],
+        horizon=horizon * dx,
+        **point_damage.body(
+            pd.LinearElastic(E, NU, plane="stress"),
+            pd.PointDamage(shape, Gc=GC, strength=STRENGTH, protected=away), G,
+        ),
+        cracks=[pd.Segment((0.0, 0.0), (0.0, NOTCH))],
+        conditions=conditions,
+        steps=pd.Steps(times=[(k / steps) ** 2 for k in range(1, steps + 1)]),
+        history={
+            **reactions,
+            "stored": pd.StrainEnergy(),
+            "control": pd.ControlEnergy(),
+            "dissipated": pd.DissipatedEnergy(),
+        },
+        results=results,
+        expect={
+            "dissipated_over_Gc": pd.Expected(1.0, relative=0.1, source="the declared Gc"),
+            "balance": pd.Expected(1.0, relative=0.02, source="energy balance"),
+            "support_over_force": pd.Expected(1.0, relative=0.01, source="equilibrium"),
+        },
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", scale=10.0),
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Contact against closed forms: Hertz, Lame, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros."""
+"""Contact against closed forms: Hertz, Lame, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros, Prandtl, Gc."""
 
 import math
 
@@ -98,3 +98,56 @@ def test_an_elastic_cylinder_on_an_elastic_block_has_the_pressure_of_hertz(tmp_p
     assert pressed["half_width"] == pytest.approx(6.2146, rel=0.025)
     assert pressed["peak_pressure"] == pytest.approx(3585.4, rel=0.03)
     assert pressed["pressure_error"] < 0.08
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_a_wedge_splits_a_plate_with_the_energy_of_its_ligament(friction, tmp_path):
+    """Of ten particles over the ligament; 1.05 of the declared energy with twenty and forty."""
+    split = found("wedge_splitting", "n=20", "steps=25", f"friction={friction}", output=tmp_path)
+    assert split["force_over_coulomb"] == pytest.approx(1.0, abs=1e-6)
+    assert split["work_over_closed_form"] == pytest.approx(1.0, abs=0.02)
+    assert split["dissipated_over_Gc"] == pytest.approx(1.14, abs=0.03)
+    assert split["final_over_peak"] < 0.02
+    assert split["peak_splitting"] == pytest.approx(41.0, rel=0.05)
+
+
+@pytest.mark.long
+def test_a_notched_beam_on_rollers_breaks_as_on_point_supports(tmp_path):
+    """Of four particles over the ligament. The middles of facets touch: half a spacing less of a lever on rollers."""
+    words = ("damage=point", "n=8", "steps=14")
+    rollers, points = (
+        found("three_point_bending", *words, f"supports={supports}", output=tmp_path / supports)
+        for supports in ("rollers", "points")
+    )
+    assert rollers["peak_load"] == pytest.approx(points["peak_load"], rel=0.06)
+    assert rollers["work_over_Gc"] == pytest.approx(points["work_over_Gc"], rel=0.05)
+    for beam in (rollers, points):
+        assert beam["balance"] == pytest.approx(1.0, abs=0.02)
+        assert beam["support_over_force"] == pytest.approx(1.0, abs=1e-3)
+        assert beam["dissipated_over_Gc"] == pytest.approx(1.0, abs=0.2)
+        assert beam["final_over_peak"] < 0.08
+
+
+@pytest.mark.long
+def test_the_pressure_of_a_flat_punch_tends_to_the_one_of_prandtl(tmp_path):
+    coarse, fine = (
+        found("indentation", f"n={n}", output=tmp_path / str(n))["pressure_over_prandtl"] - 1.0 for n in (4, 8)
+    )
+    assert fine == pytest.approx(0.135, abs=0.01)
+    assert fine < 0.6 * coarse
+
+
+def test_a_roller_without_friction_takes_no_energy_from_rubber(tmp_path):
+    roller = found("rubber_roller", "n=4", "steps=50", output=tmp_path)
+    assert abs(roller["drag_over_normal"]) < 1e-6
+    assert abs(roller["energy_error"]) < 5e-3
+    assert roller["variation"] < 0.1
+
+
+def test_a_roller_that_slides_on_rubber_takes_what_coulomb_says(tmp_path):
+    """The surface below the roller is inclined and stretched, which adds a few per cent."""
+    roller = found("rubber_roller", "n=4", "steps=50", "friction=0.3", output=tmp_path)
+    assert roller["drag_over_normal"] == pytest.approx(0.3, rel=0.05)
+    assert roller["lost_over_coulomb"] == pytest.approx(1.0, abs=0.05)
+    assert roller["lost_over_coulomb"] == pytest.approx(roller["drag_over_normal"] / 0.3, abs=0.005)

@@ -164,3 +164,11 @@ def test_ranks_count_the_same_pivots(tmp_path):
     one, two = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "two"))
     assert one == two
     assert 1 in one
+
+
+@pytest.mark.long
+def test_a_column_beyond_its_critical_load_is_the_elastica(tmp_path):
+    """Loads over Euler's at 20, 40 and 60 degrees: 1.015, 1.063, 1.152."""
+    bent = results("runs/stability/elastica.py", "n=4", output=tmp_path)["results"]
+    for degrees, load in ((20, 1.015), (40, 1.063), (60, 1.152)):
+        assert bent[f"load_{degrees}"] == pytest.approx(load, rel=0.01), degrees

@@ -405,7 +405,7 @@ def inertia_of(solution: Solution, asked_by: object) -> Inertia:
 
 @dataclass(frozen=True)
 class ExternalWork(Quantity):
-    """Work of loads and supports since the undeformed state [energy], by the trapezoidal rule over the steps.
+    """Work of loads, supports and moving tools since the undeformed state [energy], by the trapezoidal rule over steps.
 
     Along a path, it includes all equilibria within a step while bonds break.
 

@@ -103,14 +103,19 @@ class Solution:
     def follow(self, before: Solution, work: float | None = None) -> None:
         """Add the work since the previous step: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
 
-        Without inertia it equals the work of the internal forces. It has the error of the trapezoidal rule unless
-        forces are linear between the steps. A solver with equilibria between the steps passes the ``work`` itself.
+        It is that of loads, supports and moving tools. Without inertia it equals the work of the internal forces. It
+        has the error of the trapezoidal rule unless forces are linear between the steps. A solver with equilibria
+        between the steps passes the ``work`` itself.
         """
         if work is not None:
             self.work = before.work + work
             return
         forces = self._acting + before._acting
-        self.work = before.work + float(self.sum(0.5 * float((forces * (self.unknowns - before.unknowns)).sum())))
+        moved = 0.5 * float((forces * (self.unknowns - before.unknowns)).sum())
+        for term, force, at_start in zip(self.problem.terms, self._tool_forces, before._tool_forces, strict=True):
+            way = sum(term.tool_motion(one.state, before.t, self.t) for one in (before, self))
+            moved += 0.25 * float(((force + at_start) * way).sum())
+        self.work = before.work + float(self.sum(moved))
 
     @cached_property
     def _loads(self) -> Float:
@@ -121,6 +126,11 @@ class Solution:
     def _acting(self) -> Float:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
         return np.where(self.problem.supports.reacting, self.internal_force, self._loads)
+
+    @cached_property
+    def _tool_forces(self) -> list[Float]:
+        """Return the forces of tools by term, which depend on the step that ends here with friction."""
+        return [term.tool_forces(self.state) for term in self.problem.terms]
 
     @cached_property
     def energies(self) -> dict[str, float]:

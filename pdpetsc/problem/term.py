@@ -175,6 +175,17 @@ class Term(ABC):
         """Return displacements that describe the motion of a tool (n, dim) [length], by default none."""
         return np.empty((0, 0))
 
+    def tool_forces(self, state: State) -> Float:
+        """Return the forces of a tool on points of the body (n, dim) [force], by default none (collective)."""
+        return np.empty((0, 0))
+
+    def tool_motion(self, state: State, before: float, after: float) -> Float:
+        """Return how far a tool moves between two load parameters at these points in a state (n, dim) [length].
+
+        By default there are none (collective).
+        """
+        return np.empty((0, 0))
+
     def admissible(self, state: State) -> bool:
         """Return True if the forces are defined on this rank; ghosts are exchanged."""
         return True

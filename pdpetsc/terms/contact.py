@@ -118,6 +118,15 @@ class ContactForces(FacetContact):
         """Return the displacements of points that move with the tool, at the facets in the undeformed body."""
         return self._tool.absolute(self._x, np.zeros_like(self._x), t)
 
+    def tool_forces(self, state: State) -> Float:
+        """Return the forces of the tool on the facets (n_facets, dim) [force]."""
+        return self._forces(state)
+
+    def tool_motion(self, state: State, before: float, after: float) -> Float:
+        """Return how far the points of the tool move that are at the facets in a state (n_facets, dim) [length]."""
+        seen = self._seen(state)[0]
+        return self._tool.absolute(self._x, seen, after) - self._tool.absolute(self._x, seen, before)
+
     def objection(self, state: State) -> str:
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
         title = self._title[0].lower() + self._title[1:]

@@ -232,10 +232,14 @@ class FacetContact(Term):
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the contact."""
-        rows, points = self._touching(state).rows, self._points(state)
-        force = np.zeros((len(points.area), self.body.dim))
-        force[rows] = points.area[rows, None] * self._in_space(state)
-        points.spread(force, f)
+        self._points(state).spread(self._forces(state), f)
+
+    def _forces(self, state: State) -> Float:
+        """Compute the forces on all points (n_points, dim) [force] (collective)."""
+        rows, area = self._touching(state).rows, self._points(state).area
+        force = np.zeros((len(area), self.body.dim))
+        force[rows] = area[rows, None] * self._in_space(state)
+        return force
 
     def energy(self, state: State) -> float:
         """Return ``sum_p A_p ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""

@@ -105,7 +105,7 @@ def of_points(n, friction, load, supports, curve, G, horizon, steps):
     def results(h):
         force = -2.0 * np.array(h["above_y"])
         peak, whole = int(np.argmax(force)), GC * (DEPTH - NOTCH)
-        work = load * float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(h["t"])))
+        work = 2.0 * h["work"][-1]
         taken = 2.0 * sum(h[name][-1] for name in ("stored", "control", "dissipated"))
         return {
             "peak_load": force[peak],
@@ -132,6 +132,7 @@ def of_points(n, friction, load, supports, curve, G, horizon, steps):
             "stored": pd.StrainEnergy(),
             "control": pd.ControlEnergy(),
             "dissipated": pd.DissipatedEnergy(),
+            "work": pd.ExternalWork(),
         },
         results=results,
         expect={

@@ -52,7 +52,7 @@ def case(n=40, horizon=2.015, slope=15.0, friction=0.0, load=4.0, curve="bilinea
     def results(h):
         down, apart = -2.0 * np.array(h["wedge_y"]), np.array(h["wedge_x"])
         peak, whole = int(np.argmax(down)), GC * LIGAMENT
-        work = load * float(np.sum(0.5 * (down[1:] + down[:-1]) * np.diff(h["t"])))
+        work = 2.0 * h["work"][-1]
         taken = 2.0 * sum(h[name][-1] for name in ("stored", "control", "dissipated"))
         q, r = np.tan(alpha + np.arctan(friction)), (REST - GROOVE) / y
         factor = q * (1.0 / np.tan(alpha) - r) / (1.0 - q * r)
@@ -81,6 +81,7 @@ def case(n=40, horizon=2.015, slope=15.0, friction=0.0, load=4.0, curve="bilinea
             "stored": pd.StrainEnergy(),
             "control": pd.ControlEnergy(),
             "dissipated": pd.DissipatedEnergy(),
+            "work": pd.ExternalWork(),
             "opening": pd.Mean(pd.displacement, "x", pd.region.Nearest((x + 0.5 * dx, y))),
         },
         results=results,

@@ -275,6 +275,30 @@ def test_a_block_is_dragged_with_the_coefficient_of_friction(tmp_path):
     np.testing.assert_allclose(history["tool_x"][1:], -0.2 * history["tool_y"][1:], rtol=1e-9)
 
 
+@pytest.mark.parametrize(("friction", "steps"), [(0.0, 4), (0.3, 16)])
+def test_a_moving_tool_works_on_what_is_stored_and_lost(friction, steps, tmp_path):
+    """A plane presses and drags: its work is what the body and the contact store, and what friction takes."""
+    tool = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.3, -0.05))
+    history = {"work": pd.ExternalWork(), "lost": pd.DissipatedEnergy()}
+    case = block(tool, friction, penetration=0.5, steps=pd.Steps(steps), history=history)
+    run = pd.run(case, tmp_path)
+    found, stored = run.history, sum(run.solution.energies.values())
+    work, lost = found["work"][-1], found["lost"][-1]
+    assert stored > 0.0
+    if not friction:
+        assert work == pytest.approx(stored, rel=1e-9)
+        return
+    assert lost == pytest.approx(work - stored, rel=1e-9)
+    # Each increment is the friction on the way that the tool slides over the surface, which moves after it.
+    force, at = np.array(found["tool_x"]), np.array(found["step"]) / steps
+    slides = at >= 0.5
+    way = np.diff(0.3 * at[slides])
+    spent = np.diff(np.array(found["lost"])[slides])
+    mean = 0.5 * (force[slides][1:] + force[slides][:-1])
+    assert np.all(spent > 0.0) and np.all(spent < np.abs(mean) * way)
+    assert spent.sum() > 0.8 * float(np.abs(mean) @ way)
+
+
 def test_what_contact_cannot_do_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="overlaps the body by"):
         pd.prepare(block(pd.RigidPlane((0.0, 0.9), (0.0, -1.0))))

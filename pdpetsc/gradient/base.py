@@ -15,6 +15,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
+from pdpetsc.gradient.shared_steps import SAME, shared_steps
 from pdpetsc.kernels.control import non_uniform_force_kernel
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
@@ -26,8 +27,6 @@ FLAT = 1e-6
 # Below this share a part of a family, such as a sector, has no gradient point of its own. Sectors of a lattice have
 # more than 0.2.
 THIN = 1e-2
-# Tolerance for equal weights of two gradients, as a share of the largest weight.
-SAME = 1e-12
 # Largest number of particles that an error message lists.
 NAMED_IDS = 5
 
@@ -453,7 +452,8 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     -----
     Collective.
     """
-    K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
+    steps = shared_steps(families, weight)
+    K = whole_families(cloud, families, weight).shape_tensors(cloud.x) if steps is None else steps.shape_tensors()
     refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K
 

@@ -5,21 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import (
-    GradientOperator,
-    Scheme,
-    flat,
-    operator,
-    refuse_flat,
-    regular_shape_tensors,
-    whole_families,
-)
-from pdpetsc.gradient.broken_lattice import BrokenLatticeGradient, shared_steps
+from pdpetsc.gradient.base import GradientOperator, Scheme, operator, regular_shape_tensors, whole_families
+from pdpetsc.gradient.broken_lattice import BrokenLatticeGradient
+from pdpetsc.gradient.shared_steps import shared_steps
 from pdpetsc.kernels.gradient import inverses
 
 
@@ -45,10 +36,8 @@ class Correspondence(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
+        K = regular_shape_tensors(cloud, families, weight, "plain correspondence")
         steps = shared_steps(families, weight)
         if steps is None:
-            regular_shape_tensors(cloud, families, weight, "plain correspondence")
             return operator(cloud, whole_families(cloud, families, weight))
-        K = steps.shape_tensors()
-        refuse_flat(cloud, np.flatnonzero(flat(K)), "plain correspondence")
         return BrokenLatticeGradient(cloud, families, steps, inverses(K), cloud.volume[: cloud.n_owned].copy())

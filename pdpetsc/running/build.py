@@ -478,8 +478,11 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
         s = length / cloud.local_horizon[families.centres]
         # Bonds within the local horizon of their second end only have no share in the first.
         reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
-        omega = np.zeros(len(s))
-        omega[reached] = evaluate(case.influence, s[reached])
+        if reached.all():
+            omega = evaluate(case.influence, s)
+        else:
+            omega = np.zeros(len(s))
+            omega[reached] = evaluate(case.influence, s[reached])
     return Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
 
 

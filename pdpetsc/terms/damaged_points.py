@@ -25,6 +25,9 @@ from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.softening import softening_products
 
+# Share of a family that is rounding of its sum.
+NOTHING = 1e-12
+
 
 class DamagedPoints(MaterialPoints):
     """Compute correspondence forces with force states scaled by ``phi`` of the bonds, ``T = phi omega P K^-1 xi``.
@@ -75,6 +78,9 @@ class DamagedPoints(MaterialPoints):
         super().__init__(body, weights, materials, material_of, factor)
         self._whole = None if weights is built else self.operator
         self._omega = omega
+        # Sum of ``omega V`` over the family of each particle [volume].
+        weight = omega * body.cloud.volume[body.families.neighbours]
+        self._of_family = np.bincount(body.families.centres, weight, body.cloud.n_owned)
         self._scheme = scheme
         self._material_of = material_of
         self._history = self._undeformed()
@@ -355,10 +361,11 @@ class DamagedPoints(MaterialPoints):
         although the gradient is that of fewer bonds. A point with one remaining bond across a crack does not carry a
         full stress.
         """
-        cloud, centres = self.body.cloud, self.body.families.centres
-        n = cloud.n_owned
-        weight = self._omega * cloud.volume[self.body.families.neighbours]
-        left = np.bincount(centres, weight * self.damage.bonds.intact, n) / np.bincount(centres, weight, n)
+        cloud, families, n = self.body.cloud, self.body.families, self.body.cloud.n_owned
+        broken = np.flatnonzero(~self.damage.bonds.intact)
+        weight = self._omega[broken] * cloud.volume[families.neighbours[broken]]
+        left = 1.0 - np.bincount(families.centres[broken], weight, n) / self._of_family
+        left[left < NOTHING] = 0.0
         left = self._effect.volume_left(left)
         share = np.ones(operator.n_points)
         if operator.n_points > n:

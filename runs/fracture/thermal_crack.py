@@ -11,15 +11,28 @@ are 0.5036 (Wilson and Yu) and 0.4857 (Shih, Moran and Nakamura); finite element
 heat flow across it; steady heat conduction in a square of side 3 about it, with temperature and displacement of the
 infinite plate in the outer layers. Results: ``K2_over_exact``, ``J_over_exact``, ``J_far_over_exact`` of ``K_II = E'
 alpha g a sqrt(pi a) / 4`` (Sih 1962; alpha times 1 + nu in plane strain), ``temperature_error`` over ``g a``.
+
+With ``damage=point`` gradient points of the strip fail (``pd.PointDamage``, linear softening, fracture energy
+1.117e-3, with a strain without stress of ``ratio`` times that at the onset), with correspondence and ``Silling(G)``,
+2.0 where G is 0. The crack has the length ``a``, at least 0.3, and the temperatures rise to ``top`` times those above,
+in ``steps`` steps. The crack grows stably, because its tip comes to where the strip is pressed. Results: ``length`` at
+the end, ``a`` and the dissipated energy over Gc, ``elements``, the length at which finite elements have ``K_I = sqrt(E
+Gc / (1 - nu^2))`` there, ``length_error``, the largest difference of both over the width from amplitude 1.1 on (before,
+K hardly depends on the length), and ``tip``, where points have failed.
 """
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import point_damage
 
 import pdpetsc as pd
 
 E, NU, ALPHA = 1000.0, 0.3, 1e-3
+# A crack of length 0.3 begins to grow at the temperatures of amplitude 1.
+GC = 1.117e-3
 HALF, SIDE, GRADIENT = 0.6, 1.5, 3.0
 
 
@@ -55,9 +68,15 @@ class Departs(pd.Quantity):
         return solution.largest(float(np.abs(off).max(initial=0.0))) / (GRADIENT * HALF)
 
 
-def case(kind="strip", n=40, horizon=2.015, plane="strain", scheme="sub_horizons", G=0.0):
-    """Return the case: ``n`` particles along the crack."""
+def case(
+    kind="strip", n=40, horizon=2.015, plane="strain", scheme="sub_horizons", G=0.0, damage="none", a=0.3, ratio=2.0,
+    top=2.0, steps=20,
+):  # fmt: skip
+    """Return the case: ``n`` particles along the crack, or along half of the width."""
     pd.choose("kind", kind, {"strip": None, "flow": None})
+    if pd.choose("damage", damage, {"none": False, "point": True}):
+        pd.choose("kind of damage=point", kind, {"strip": None})
+        return growing(n, horizon, G or 2.0, a, ratio, top, steps)
     chosen = pd.choose("scheme", scheme, pd.SCHEMES)
     model = {"scheme": chosen, "control": pd.Silling(G) if G else None}
     return strip(n, horizon, model) if kind == "strip" else flow(n, horizon, plane, model)
@@ -94,6 +113,54 @@ def strip(n, horizon, model):
         results=results,
         fields=[pd.displacement, pd.stress, pd.temperature],
         picture=pd.Picture(pd.stress, "yy", 200.0),
+    )
+
+
+def length_at(amplitude):
+    """Return the length at which finite elements have the critical stress intensity at amplitudes of temperature."""
+    rows = json.loads(Path(__file__).with_name("thermal_crack_elements.json").read_text())["K1_by_length"]
+    length, K = np.array([[float(length), K] for length, K in rows.items()]).T
+    growing = slice(int(np.argmax(K)), None)
+    unit = E * ALPHA / (1.0 - NU) * np.sqrt(0.5 * np.pi)
+    critical = np.sqrt(E * GC / (1.0 - NU**2)) / unit / np.asarray(amplitude)
+    return np.interp(critical, K[growing][::-1], length[growing][::-1])
+
+
+def growing(n, horizon, G, a, ratio, top, steps):
+    """Return the strip with a cold edge whose crack grows."""
+    dx = 0.5 / n
+    delta = horizon * dx
+    law = pd.LinearElastic(E, NU, "strain")
+    held = pd.region.Slab("y", low=2.0 - 3.0 * delta)
+    damage = point_damage.damage_of_ratio("linear", law, GC, ratio, delta, dx, protected=held)
+
+    def results(h):
+        amplitude = top * np.array(h["t"])
+        length, begun = a + 2.0 * np.array(h["dissipated"]) / GC, amplitude > 1.1 - 1e-9
+        exact = np.maximum(length_at(np.maximum(amplitude, 1.0)), a)
+        return {
+            "length": length[-1],
+            "elements": exact[-1],
+            "length_error": float(np.abs(length - exact)[begun].max()),
+            "tip": h["tip"][-1],
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (1.0, 2.0), dx),
+        symmetry=[pd.Symmetry("y")],
+        horizon=delta,
+        **point_damage.body(pd.Thermal(law, ALPHA), damage, G),
+        cracks=[pd.Segment((-1.0, 0.0), (a, 0.0))],
+        conditions=[
+            pd.Displacement(pd.region.Slab("y", low=2.0 - dx), y=0.0),
+            pd.Displacement(pd.region.Nearest((1.0, 0.5 * dx)), x=0.0),
+            pd.Temperature(pd.region.All(), lambda x, t: top * t * (2.0 * x[:, 0] - 1.0)),
+        ],
+        steps=pd.Steps(steps),
+        history={"tip": pd.CrackTip((1.0, 0.0), damage=0.9), **point_damage.energies()},
+        results=results,
+        fields=[pd.displacement, pd.local_damage, pd.temperature],
+        picture=pd.Picture(pd.local_damage, "", 100.0),
     )
 
 

@@ -2,7 +2,7 @@
 
 Biquadratic quadrilaterals (scikit-fem), smaller towards the tip; ``G`` from the strain energy of cracks of two lengths
 between held ends, ``K = sqrt(G E / (1 - nu^2))``. Writes ``thermal_crack_elements.json``: ``K1_over`` as
-``thermal_crack.py`` has it, on two meshes.
+``thermal_crack.py`` has it, on two meshes, and ``K1_by_length``, K in the same unit for cracks of other lengths.
 """
 
 import json
@@ -68,8 +68,11 @@ def factor(n, a=0.5):
 
 
 def main():
-    found = {"K1_over": factor(24), "K1_over_coarse": factor(12)}
-    STORE.write_text(json.dumps({name: float(f"{value:.5g}") for name, value in found.items()}) + "\n")
+    found = {name: float(f"{value:.5g}") for name, value in (("K1_over", factor(24)), ("K1_over_coarse", factor(12)))}
+    found["K1_by_length"] = {
+        str(a): float(f"{factor(12, a) * np.sqrt(a / 0.5):.5g}") for a in np.linspace(0.2, 0.75, 12).round(2)
+    }
+    STORE.write_text(json.dumps(found) + "\n")
     print(found)
 
 

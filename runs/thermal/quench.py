@@ -9,7 +9,9 @@ energy when a plate without cracks has most, 2.11 mm (``quench_elements.py``).
 
 With ``damage=point`` gradient points fail (``pd.PointDamage``, linear softening) at a ``strength`` [MPa] that scatters
 in the same way, with the same fracture energy, nu = 0.3, correspondence and ``Silling(G)``. The temperature is then
-that of the plate without cracks, given by its series, and a crack counts where it has failed.
+that of the plate without cracks, given by its series, and a crack counts where it has failed. ``length_over_least`` is
+the dissipated energy over Gc, the length of all cracks, over that of the array of least energy after the same time
+(the longest until then, as cracks do not heal).
 """
 
 import json
@@ -39,10 +41,21 @@ def cooled(depth, half, coefficient, time, hot, terms=60):
     return WATER + (hot - WATER) * np.cos(np.multiply.outer(1.0 - np.asarray(depth) / half, a)) @ weight
 
 
+def least_rows():
+    """Return what is known of the cracks of least energy, by time, of the plate as it stands."""
+    return json.loads(Path(__file__).with_name("quench_elements.json").read_text())
+
+
 def least_energy():
-    """Return the spacing of the cracks of least energy [length], of the plate as it stands."""
-    rows = json.loads(Path(__file__).with_name("quench_elements.json").read_text())
-    return max(rows, key=lambda row: row["without_cracks"])["spacing"]
+    """Return the spacing of the cracks of least energy [length]."""
+    return max(least_rows(), key=lambda row: row["without_cracks"])["spacing"]
+
+
+def least_length(time):
+    """Return the length of the cracks of least energy over the width [-], the largest until a time."""
+    rows = least_rows()
+    length = np.maximum.accumulate([row["depth"] / row["spacing"] for row in rows])
+    return float(np.interp(time, [row["time"] for row in rows], length))
 
 
 class Cracks(pd.Quantity):
@@ -67,8 +80,9 @@ def case(
     critical = np.sqrt(4.0 * np.pi * GC / (9.0 * E * reach))
     depths = [0.25, 0.15 * half, 0.4 * half, 0.6 * half]
     columns = round(width / dx)
-    # The plate that cracks of least energy were computed for.
-    known = (half, hot, coefficient) == (3.0, 620.0, 50.0) and time >= 0.12
+    # The plate that cracks of least energy were computed for, from 0.03 s on.
+    plate = (half, hot, coefficient) == (3.0, 620.0, 50.0)
+    known = plate and time >= 0.12
     # Cracks run along the flow of heat; bonds along the surface, which break as well, hinder it a little.
     core = cooled(half, half, coefficient, time, hot)
     points = pd.choose("damage", damage, {"bonds": False, "point": True})
@@ -120,6 +134,11 @@ def case(
             "core": h["core"][-1],
             **{f"spacing_{n}": width / max(h[f"cracks_{n}"][-1], 1.0) for n in range(len(depths))},
             **({"spacing_0_over_least": width / max(h["cracks_0"][-1], 1.0) / least_energy()} if known else {}),
+            **(
+                {"length_over_least": h["dissipated"][-1] / (GC * width * least_length(time))}
+                if points and plate and time >= 0.03
+                else {}
+            ),
         },
         expect={"core": pd.Expected(core, absolute=0.08 * (hot - WATER), source="series of a plate without cracks")},
         fields=[pd.displacement, pd.temperature, counted[0], *([] if points else [pd.heat_flux])],

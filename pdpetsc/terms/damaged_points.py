@@ -73,7 +73,10 @@ class DamagedPoints(MaterialPoints):
         self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
         factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
-        built = scheme.build(body.cloud, body.families, omega)
+        # Forces of bonds that soften have weights of their own, which are listed.
+        softens = damage.bonds.laws.softens
+        self._families = replace(body.families, grid=None) if softens else body.families
+        built = scheme.build(body.cloud, self._families, omega)
         weights = built if weigh is None else weigh(built)
         super().__init__(body, weights, materials, material_of, factor)
         self._whole = None if weights is built else self.operator
@@ -325,7 +328,7 @@ class DamagedPoints(MaterialPoints):
         while True:
             omega = np.where(self.damage.bonds.intact | detached[centres], self._omega, 0.0)
             try:
-                operator = self._scheme.build(cloud, families, omega)
+                operator = self._scheme.build(cloud, self._families, omega)
                 break
             except FlatFamilies as flat:
                 more = np.isin(cloud.gid[:n], flat.gid) & ~detached

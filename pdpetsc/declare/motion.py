@@ -19,7 +19,8 @@ from pdpetsc.errors import CaseError
 class RigidMotion(Declared):
     """A rigid motion: a point X moves to ``R (X - c) + c + d``.
 
-    With the factor ``s(t)`` of the schedule, ``d = s move``, R is the rotation by ``s turn``, and ``c = about``.
+    With the factor ``s(t)`` of the schedule, ``d = s move``, R is the rotation by ``s turn``, and ``c = about``. Each
+    component of ``move`` may have a schedule of its own, so that a tool presses first and slides then.
 
     Parameters
     ----------
@@ -30,14 +31,15 @@ class RigidMotion(Declared):
         axis in space (3,). None by default.
     about : sequence of float, optional
         The point (dim,) about which it turns [length].
-    schedule : callable, optional
-        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default.
+    schedule : callable or sequence of callables, optional
+        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default. A sequence has one
+        for each component of ``move``, then one for ``turn`` if that is declared.
     """
 
     move: Sequence[float] = field(default=(), kw_only=True)
     turn: Finite | Sequence[float] = field(default=(), kw_only=True)
     about: Sequence[float] = field(default=(), kw_only=True)
-    schedule: Schedule = field(default_factory=Ramp, kw_only=True)
+    schedule: Schedule | Sequence[Schedule] = field(default_factory=Ramp, kw_only=True)
 
     @property
     def turns(self) -> bool:
@@ -62,17 +64,30 @@ class RigidMotion(Declared):
         if len(numbers) and len(self.about) != dim:
             raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
 
-    def _factor(self, t: float) -> float:
-        return float(evaluated(f"schedule of a {type(self).__name__}", self.schedule, (), t, t))
+        if not callable(self.schedule):
+            needed = len(self.move) + self.turns
+            if len(self.schedule) != needed:
+                raise CaseError(
+                    f"{type(self).__name__} has {len(self.schedule)} schedules; give one for all, or {needed}: one for "
+                    f"each component of move{', then one for turn' if self.turns else ''}."
+                )
+
+    def _factors(self, t: float) -> list[float]:
+        """Return the factor of each component of ``move``, then that of ``turn``."""
+        what = f"schedule of a {type(self).__name__}"
+        if callable(self.schedule):
+            return [float(evaluated(what, self.schedule, (), t, t))] * (len(self.move) + 1)
+        found = [float(evaluated(what, one, (), t, t)) for one in self.schedule]
+        return found if self.turns else [*found, 0.0]
 
     def angle(self, before: float, t: float) -> float:
         """Compute the angle of the rotation between two load parameters [rad]."""
-        return float(np.linalg.norm(np.ravel(self.turn))) * abs(self._factor(t) - self._factor(before))
+        return float(np.linalg.norm(np.ravel(self.turn))) * abs(self._factors(t)[-1] - self._factors(before)[-1])
 
     def motion(self, t: float, dim: int) -> tuple[Float, Float]:
         """Compute rotation (dim, dim) and displacement (dim,) [length] at a load parameter."""
-        factor = self._factor(t)
-        moved = np.asarray(self.move, dtype=float) * factor if len(self.move) else np.zeros(dim)
+        *factors, factor = self._factors(t)
+        moved = np.asarray(self.move, dtype=float) * factors if len(self.move) else np.zeros(dim)
         if not self.turns:
             return np.eye(dim), moved
         numbers = np.ravel(self.turn)

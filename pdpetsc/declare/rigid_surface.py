@@ -65,7 +65,7 @@ class RigidSurface(RigidTool):
     @classmethod
     def read(
         cls, path: str | Path, unit: float = 1.0, move: Sequence[float] = (), turn: Sequence[float] = (),
-        about: Sequence[float] = (), schedule: Schedule | None = None,
+        about: Sequence[float] = (), schedule: Schedule | Sequence[Schedule] | None = None,
     ) -> RigidSurface:  # fmt: skip
         """Read a surface of triangles, such as an STL file.
 

@@ -450,7 +450,9 @@ class DissipatedEnergy(Quantity):
         """Return the energy."""
         problem = solution.problem
         known = problem.material_term.dissipated_energy()
-        if (known is None or problem.fields) and problem.body.expansion is not None:
+        whole = problem.damage is not None and problem.damage.forces_have_energy
+        others = not whole and any(term.has_history for term in problem.terms if term is not problem.material_term)
+        if (known is None or others) and problem.body.expansion is not None:
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."
@@ -461,8 +463,6 @@ class DissipatedEnergy(Quantity):
                 "work less the stored energy is not what this body dissipates; leave DissipatedEnergy out and look at "
                 "StrainEnergy."
             )
-        whole = problem.damage is not None and problem.damage.forces_have_energy
-        others = not whole and any(term.has_history for term in problem.terms if term is not problem.material_term)
         return solution.work - sum(solution.energies.values()) if known is None or others else known
 
 

@@ -275,6 +275,25 @@ def test_a_block_is_dragged_with_the_coefficient_of_friction(tmp_path):
     np.testing.assert_allclose(history["tool_x"][1:], -0.2 * history["tool_y"][1:], rtol=1e-9)
 
 
+def test_a_tool_presses_first_and_slides_then(tmp_path):
+    """Each component of its way has a schedule of its own: half of the run is that of a tool that only presses."""
+    press, slide = pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 1.0]), pd.Table([0.0, 0.5, 1.0], [0.0, 0.0, 1.0])
+    tool = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.3, -0.05), schedule=(slide, press))
+    found = pd.run(block(tool, 0.3, steps=pd.Steps(16)), tmp_path / "both").history
+    alone = pd.run(block(friction=0.3, steps=pd.Steps(8)), tmp_path / "press").history
+    for name in ("tool_x", "tool_y", "top"):
+        assert found[name][8] == pytest.approx(alone[name][-1], rel=1e-9, abs=1e-12 * E)
+    # The whole surface slides at the end.
+    assert abs(found["tool_x"][-1] / found["tool_y"][-1]) == pytest.approx(0.3, rel=1e-6)
+    with pytest.raises(pd.CaseError, match="has 1 schedules; give one for all, or 2"):
+        pd.prepare(block(dataclasses.replace(tool, schedule=(press,))))
+    turning = dataclasses.replace(tool, turn=0.1, about=(0.0, 1.0))
+    with pytest.raises(pd.CaseError, match="or 3: one for each component of move, then one for turn"):
+        pd.prepare(block(turning))
+    assert dataclasses.replace(turning, schedule=(slide, press, press)).angle(0.0, 0.5) == pytest.approx(0.1)
+    assert dataclasses.replace(turning, schedule=(slide, press, slide)).angle(0.0, 0.5) == 0.0
+
+
 @pytest.mark.parametrize(("friction", "steps"), [(0.0, 4), (0.3, 16)])
 def test_a_moving_tool_works_on_what_is_stored_and_lost(friction, steps, tmp_path):
     """A plane presses and drags: its work is what the body and the contact store, and what friction takes."""

@@ -197,6 +197,33 @@ class GradientOperator(StencilMembers):
         return np.asarray((sums / np.maximum(count, 1)[:, None]).reshape(n_owned, *values.shape[1:]))
 
 
+class ListedOnUse(GradientOperator):
+    """An operator that stores less than its weights; ``g``, ``members`` and ``point_ptr`` list them on first use.
+
+    It defines ``at``, and the sums and loops of ``GradientOperator`` without the list.
+    """
+
+    @cached_property
+    def listed(self) -> GradientOperator:
+        """Return the operator with all weights listed (not collective)."""
+        return self.at(np.arange(self.n_points))
+
+    @property
+    def point_ptr(self) -> GlobalIndex:
+        """Return the start of the members of each point."""
+        return self.listed.point_ptr
+
+    @property
+    def members(self) -> LocalIndex:
+        """Return the members of all points."""
+        return self.listed.members
+
+    @property
+    def g(self) -> Float:
+        """Return the weights of all members."""
+        return self.listed.g
+
+
 @dataclass(frozen=True)
 class Moduli:
     """Moduli ``A_p = dP/dF`` of gradient points, stored once for all points with equal moduli.

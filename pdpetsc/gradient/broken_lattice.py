@@ -14,6 +14,7 @@ from pdpetsc.discrete.lattice_stencils import Rows, rows_of
 from pdpetsc.gradient.base import (
     ControlledGradient,
     GradientOperator,
+    ListedOnUse,
     Moduli,
     PointLoop,
     SameGradient,
@@ -34,10 +35,8 @@ NO_SETS, NO_STRESS = np.empty(0, dtype=np.int32), np.empty((0, 0, 0))
 NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
 
 
-class BrokenLatticeGradient(GradientOperator):
+class BrokenLatticeGradient(ListedOnUse):
     """``GradientOperator`` of whole families ``g_ij = w_ij K_i^-1 xi_ij`` that stores the steps that a family lacks.
-
-    ``g``, ``members`` and ``point_ptr`` list all weights on first use.
 
     Parameters
     ----------
@@ -148,26 +147,6 @@ class BrokenLatticeGradient(GradientOperator):
         stencils = with_centres(points.astype(np.int32), first, neighbours, weight)
         g = stencil_weights(stencils, self.cloud.x, self.K_inverse[points])
         return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, self.volume[points])
-
-    @cached_property
-    def listed(self) -> GradientOperator:
-        """Return the operator with all weights listed (not collective)."""
-        return self.at(np.arange(self.n_points))
-
-    @property
-    def point_ptr(self) -> GlobalIndex:
-        """Return the start of the members of each point."""
-        return self.listed.point_ptr
-
-    @property
-    def members(self) -> LocalIndex:
-        """Return the members of all points."""
-        return self.listed.members
-
-    @property
-    def g(self) -> Float:
-        """Return the weights of all members."""
-        return self.listed.g
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, PointLoop, SameGradient
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedOnUse, Moduli, PointLoop, SameGradient
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Tolerance for opposite weights and equal stiffnesses of opposite members, as a share of the largest.
@@ -102,10 +102,8 @@ def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Flo
     return steps[kept].astype(np.int64), minus[kept].astype(np.int64), np.ascontiguousarray(mean[kept])
 
 
-class LatticeGradient(GradientOperator):
+class LatticeGradient(ListedOnUse):
     """``GradientOperator`` that stores one list of weights for all particles with equal families.
-
-    ``g``, ``members`` and ``point_ptr`` list all weights on first use.
 
     Parameters
     ----------
@@ -215,26 +213,6 @@ class LatticeGradient(GradientOperator):
         entries, ptr = entries_of(irregular.point_ptr, first + points - self.points_of[owner])
         members = lattice.translated(owner, np.diff(ptr), irregular.members[entries])
         return GradientOperator(owner, ptr, members, irregular.g[entries], self.volume[points], self.note)
-
-    @cached_property
-    def listed(self) -> GradientOperator:
-        """Return the operator with all weights listed (not collective)."""
-        return self.at(np.arange(self.n_points))
-
-    @property
-    def point_ptr(self) -> GlobalIndex:
-        """Return the start of the members of each point."""
-        return self.listed.point_ptr
-
-    @property
-    def members(self) -> LocalIndex:
-        """Return the members of all points."""
-        return self.listed.members
-
-    @property
-    def g(self) -> Float:
-        """Return the weights of all members."""
-        return self.listed.g
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ over ``friction P``; and ``half_width_over_hertz`` of the pressed cylinder.
 """
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,18 +30,6 @@ CORE = 0.08
 PRESSED = 0.25
 STEPS = 12
 SHARES = (0.25, 0.5, 0.75)
-
-
-@dataclass(frozen=True)
-class PressedCylinder(pd.RigidSphere):
-    """A cylinder that moves up, and then along x by ``slide``: one schedule of a tool cannot say that."""
-
-    slide: float = 0.0
-
-    def motion(self, t, dim):
-        """Compute rotation and displacement of the cylinder at a load parameter."""
-        up, along = min(t / PRESSED, 1.0), max((t - PRESSED) / (1.0 - PRESSED), 0.0)
-        return np.eye(dim), up * np.asarray(self.move) + np.array([along * self.slide, 0.0])
 
 
 class Sticking(pd.Quantity):
@@ -68,7 +55,10 @@ class Sticking(pd.Quantity):
 def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45):
     points, cells = refined.mirrored(*refined.corner(n, CORE, OUTER, 2))
     cloud = refined.cloud(points, cells, points[:, 1] < 1e-9)
-    tool = PressedCylinder((0.0, -RADIUS), RADIUS, move=(0.0, load), slide=slide * friction * load)
+    tool = pd.RigidSphere(
+        (0.0, -RADIUS), RADIUS, move=(slide * friction * load, load),
+        schedule=(pd.Table([0.0, PRESSED, 1.0], [0.0, 0.0, 1.0]), pd.Table([0.0, PRESSED, 1.0], [0.0, 1.0, 1.0])),
+    )  # fmt: skip
     arc = ~pd.region.Sphere((0.0, 0.0), OUTER * (1.0 - 1e-9))
     modulus = E / (1.0 - nu**2)
 

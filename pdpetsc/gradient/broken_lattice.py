@@ -31,7 +31,7 @@ from pdpetsc.kernels.broken_lattice import (
 )
 from pdpetsc.kernels.lattice_stencils import add_from_cells
 
-NO_SETS, NO_STRESS = np.empty(0, dtype=np.int32), np.empty((0, 0, 0))
+NO_SETS = np.empty(0, dtype=np.int32)
 NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
 
 

@@ -38,7 +38,8 @@ class FailingBonds:
     phi : (n_bonds,) float64
         Degradation factor of each bond [-]: 1 intact, 0 broken.
     kappa : (n_bonds,) float64
-        Largest driving variable so far [-], or that of the last equilibrium if damage is reversible.
+        Largest driving variable so far [-], or that of the last equilibrium if damage is reversible; of intact bonds
+        only since the last stored state.
     protected : (n,) int64
         Bonds that do not fail.
     frozen : bool

@@ -21,7 +21,9 @@ class FrequencyResponse(Declared):
 
     with its derivatives ``q_k`` along the modes ``phi_k``, which have unit modal mass, and ``q_s`` along the static
     displacement under f. The sum is over the ``count`` modes; all others respond as if they had no mass. The damping
-    ratio is ``z_k = ratio + mass / (2 w_k) + stiffness w_k / 2``. Prescribed displacements do not oscillate.
+    ratio is ``z_k = ratio + mass / (2 w_k) + stiffness w_k / 2``. Prescribed displacements, temperatures and tools do
+    not oscillate. Quantities change with the displacement only: a reaction is that of the stiffness, without loads on
+    held particles, inertia and damping.
 
     ``response.csv`` lists the amplitude of each quantity and its phase behind the loads [degrees] by frequency. Results
     are the largest amplitude ``response_NAME``, and its frequency ``response_NAME_at``.
@@ -38,7 +40,8 @@ class FrequencyResponse(Declared):
     Raises
     ------
     CaseError
-        There is no frequency, or one is negative.
+        There is no frequency, one is negative, or there is no damping. In a case: a quantity of the history depends on
+        the path of the load, such as ``ExternalWork``.
 
     References
     ----------

@@ -15,7 +15,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
-from pdpetsc.gradient.shared_steps import SAME, shared_steps
+from pdpetsc.gradient.shared_steps import SAME, SharedSteps, shared_steps
 from pdpetsc.kernels.control import non_uniform_force_kernel
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
@@ -466,7 +466,9 @@ def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
     return with_centres(centres, families.indptr, families.neighbours, weight)
 
 
-def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name: str) -> Float:
+def regular_shape_tensors(
+    cloud: Cloud, families: Families, weight: Float, name: str, steps: SharedSteps | None = None
+) -> Float:  # fmt: skip
     """Return the shape tensors of the families of the own particles (n_owned, dim, dim) for weights (n_bonds,).
 
     Raises
@@ -479,7 +481,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     -----
     Collective.
     """
-    steps = shared_steps(families, weight)
+    steps = shared_steps(families, weight) if steps is None else steps
     K = whole_families(cloud, families, weight).shape_tensors(cloud.x) if steps is None else steps.shape_tensors()
     refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K

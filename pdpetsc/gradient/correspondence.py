@@ -36,8 +36,8 @@ class Correspondence(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        K = regular_shape_tensors(cloud, families, weight, "plain correspondence")
         steps = shared_steps(families, weight)
+        K = regular_shape_tensors(cloud, families, weight, "plain correspondence", steps)
         if steps is None:
             return operator(cloud, whole_families(cloud, families, weight))
         return BrokenLatticeGradient(cloud, families, steps, inverses(K), cloud.volume[: cloud.n_owned].copy())

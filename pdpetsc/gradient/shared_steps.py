@@ -96,6 +96,8 @@ def shared_steps(families: Families, weight: Float) -> SharedSteps | None:
     order = np.concatenate([up, [int(np.flatnonzero(grid.steps == -step)[0]) for step in grid.steps[up]]])
     steps, xi = grid.steps[order], grid.xi[order]
     n_lacking = n * len(steps) - int(np.count_nonzero(weight))
+    if len(steps) > np.iinfo(np.int16).max:
+        return None
     if n_lacking > MOST_LACKING * n * len(steps) or n < SHORTEST * len(rows_of(grid.cell[:n]).starts):
         return None
     number_of = np.full(2 * int(steps.max()) + 1, -1, dtype=np.int32)

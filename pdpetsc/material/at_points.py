@@ -45,8 +45,8 @@ class Law:
         return Law(rows, material, material.history_kernels(dim), material.constants(dim))
 
     def of_step(self, dt: float) -> Law:
-        """Return the law for a step of duration ``dt`` [time], unchanged if it does not depend on time."""
-        if not self.material.timed:
+        """Return the law for a step of duration ``dt`` [time], unchanged if it does not read that."""
+        if not self.material.reads_step:
             return self
         return replace(self, constants=np.append(self.constants[:-1], dt))
 

@@ -104,8 +104,13 @@ class Material(WithDensity, ABC):
 
     @property
     def timed(self) -> bool:
-        """Return True if it has a ``duration``; the last of its constants is then the duration of the step."""
+        """Return True if it has a ``duration``."""
         return self.duration is not None
+
+    @property
+    def reads_step(self) -> bool:
+        """Return True if the last of its constants is the duration of the step [time]: 0 between two steps."""
+        return self.timed
 
     @property
     def duration(self) -> float | None:

@@ -23,8 +23,8 @@ class EnergyMomentum(Material):
 
         ``S_m = S(C_m) + (2 (psi_1 - psi_0) - S(C_m) : dC) / |dC|^2 dC``, ``C_m = (C_0 + C_1) / 2``, ``dC = C_1 - C_0``.
 
-    Its work is the change of the energy, and it is symmetric. The history of a point is ``F_0`` of the last converged
-    step, then the data of the law.
+    Its work is the change of the energy, and it is symmetric. Between two steps, and in a preload, the stress is that
+    of the law. The history of a point is ``F_0`` of the last converged step, then the data of the law.
 
     Parameters
     ----------
@@ -60,17 +60,23 @@ class EnergyMomentum(Material):
         law, size = self.of.history_kernels(dim), dim * dim
 
         def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
-            step = _Step(law, constants, F[select], history, size)
+            if constants[-1] == 0.0:
+                law.stress(F, select, constants[:-1], history[:, size:], P)
+                return
+            step = _Step(law, constants[:-1], F[select], history, size)
             P[select] = 2.0 * step.F_m @ step.S_m - step.stress(step.F_0)
 
         def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
-            step = _Step(law, constants, F[select], history, size)
+            if constants[-1] == 0.0:
+                law.tangent(F, select, constants[:-1], history[:, size:], A)
+                return
+            step = _Step(law, constants[:-1], F[select], history, size)
             by_C = step.S_m_by_C()
             A[select] = np.einsum("ik,pnm->pimkn", np.eye(dim), step.S_m)
             A[select] += 4.0 * np.einsum("pia,pamnb,pkb->pimkn", step.F_m, by_C, step.F_1)
 
         def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
-            law.energy(F, select, constants, history[:, size:], psi)
+            law.energy(F, select, constants[:-1], history[:, size:], psi)
 
         def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
             history[:, :size] = F[select].reshape(-1, size)
@@ -78,8 +84,13 @@ class EnergyMomentum(Material):
         return HistoryKernels(stress, tangent, energy, commit)
 
     def constants(self, dim: int) -> Float:
-        """Return those of the law."""
-        return self.of.constants(dim)
+        """Return those of the law, and the duration of the step."""
+        return np.append(self.of.constants(dim), 0.0)
+
+    @property
+    def reads_step(self) -> bool:
+        """Return True."""
+        return True
 
     def moduli(self, dim: int) -> Float:
         """Return those of the law."""

@@ -64,7 +64,14 @@ class Quantity(Declared, ABC):
     """A number of every converged step for the history.
 
     The ``region`` of a quantity may be the name of a side or of a set, as for conditions.
+
+    Attributes
+    ----------
+    of_path : bool
+        True if the number depends on the steps before, not on the displacement alone.
     """
+
+    of_path: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         accept_region_name(self)
@@ -416,6 +423,7 @@ class ExternalWork(Quantity):
     """
 
     dimension = "energy"
+    of_path: ClassVar[bool] = True
 
     def evaluate(self, solution: Solution) -> float:
         """Return the work."""
@@ -445,6 +453,7 @@ class DissipatedEnergy(Quantity):
     """
 
     dimension = "energy"
+    of_path: ClassVar[bool] = True
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""

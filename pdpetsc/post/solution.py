@@ -113,8 +113,7 @@ class Solution:
         forces = self._acting + before._acting
         moved = 0.5 * float((forces * (self.unknowns - before.unknowns)).sum())
         for term, force, at_start in zip(self.problem.terms, self._tool_forces, before._tool_forces, strict=True):
-            way = sum(term.tool_motion(one.state, before.t, self.t) for one in (before, self))
-            moved += 0.25 * float(((force + at_start) * way).sum())
+            moved += term.tool_work(force + at_start, before.state, self.state)
         self.work = before.work + float(self.sum(moved))
 
     @cached_property

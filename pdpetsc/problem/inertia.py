@@ -78,7 +78,7 @@ class Inertia(Term):
     Index 0 is the last converged step, ``s_0`` the sum of all other forces and of damping there. The residual is that
     of a generalised-alpha step over ``1 - alpha_f``. Its forces are those of the end of the step and of the start, so
     that materials are evaluated where their history is updated. Velocity and acceleration follow from Newmark's
-    formulas. M is lumped: the masses of the particles. Held components have the mean velocity of the step, and no
+    formulas. M is lumped: the masses of the particles. Held components have no
     inertia here.
 
     Parameters
@@ -121,6 +121,8 @@ class Inertia(Term):
     step : float or None
         Time since the last converged step in a motion at constant load [time]; None if the load parameter determines
         it.
+    held : (n_owned, dim) float64 or None
+        Velocities of the held components at the end of the step [length / time]; None for the means of the step.
     resistance : Resistance or None
         ``K_0`` of implicit steps; set by the solver.
     viscosity : ShockViscosity or None
@@ -150,6 +152,7 @@ class Inertia(Term):
         self._t, self._dt = 0.0, 0.0
         self.active, self.error = True, 0.0
         self.step: float | None = None
+        self.held: Float | None = None
         self.resistance: Resistance | None = None
         self.viscosity: ShockViscosity | None = None
         self.begin = np.zeros((n, dim))
@@ -210,7 +213,8 @@ class Inertia(Term):
         a = (moved - dt * self.v) / (beta * dt**2) - (0.5 / beta - 1.0) * self.a
         v = self.v + dt * ((1.0 - gamma) * self.a + gamma * a)
         mean = moved / dt
-        return np.where(self._free, v, mean), np.where(self._free, a, (mean - self.v) / dt)
+        held = mean if self.held is None else self.held
+        return np.where(self._free, v, held), np.where(self._free, a, (held - self.v) / dt)
 
     def ahead(self, t: float) -> Float:
         """Return the displacements of the free components if the acceleration remains (n_owned, dim) [length]."""
@@ -278,11 +282,12 @@ class Inertia(Term):
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
         blocks = (rate * self.mass)[:, None, None] * np.eye(self._body.dim)
-        each = blend.gamma / (blend.beta * dt)
+        per_displacement = blend.gamma / (blend.beta * dt)
         if self.damper is not None:
-            blocks += each * self.damper
+            blocks += per_displacement * self.damper
         of_stiffness = [] if self.resistance is None else self.resistance.products
-        return [PointBlocks(blocks), *(ScaledProduct(one, each * self.damping_time) for one in of_stiffness)]
+        factor = per_displacement * self.damping_time
+        return [PointBlocks(blocks), *(ScaledProduct(one, factor) for one in of_stiffness)]
 
     def energy(self, state: State) -> float:
         """Return the kinetic energy of this rank [energy] (not collective)."""

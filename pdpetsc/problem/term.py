@@ -176,15 +176,15 @@ class Term(ABC):
         return np.empty((0, 0))
 
     def tool_forces(self, state: State) -> Float:
-        """Return the forces of a tool on points of the body (n, dim) [force], by default none (collective)."""
+        """Return the forces of a moving tool on points of the body (n, dim) [force], by default none (collective)."""
         return np.empty((0, 0))
 
-    def tool_motion(self, state: State, before: float, after: float) -> Float:
-        """Return how far a tool moves between two load parameters at these points in a state (n, dim) [length].
+    def tool_work(self, forces: Float, before: State, after: State) -> float:
+        """Return the work of a tool from one state to another on this rank [energy].
 
-        By default there are none (collective).
+        ``forces`` (n, dim) is the sum of its forces in both states. By default there are none (collective).
         """
-        return np.empty((0, 0))
+        return 0.0
 
     def admissible(self, state: State) -> bool:
         """Return True if the forces are defined on this rank; ghosts are exchanged."""

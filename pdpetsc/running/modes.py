@@ -111,6 +111,9 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
     free = int(total(problem.body.cloud.comm, np.count_nonzero(~problem.supports.fixed)))
     if free <= declared.count + 1:
         raise CaseError(f"A body of {free} unknowns has no {declared.count} modes that could be sought; ask for fewer.")
+    on_path = [name for name, quantity in case.history.items() if quantity.of_path]
+    if declared.response is not None and on_path:
+        raise CaseError(f"{on_path[0]!r} of the history depends on the path of the load, and does not oscillate.")
     if declared.of == "frequency":
         without = [type(ungraded(one)).__name__ for _, one in case.materials if ungraded(one).density is None]
         if without:
@@ -188,8 +191,8 @@ def response(
     if min(frequencies, default=0.0) <= 0.0:
         raise SolveError("The last equilibrium is unstable, and does not vibrate about it.")
     loads = problem.external_force(last.state)
-    if largest(comm, float(np.abs(loads).max(initial=0.0))) == 0.0:
-        raise SolveError("No load acts in the last equilibrium, so that none can oscillate. Add a load to the case.")
+    if largest(comm, float(np.abs(problem.supports.reduced(loads)).max(initial=0.0))) == 0.0:
+        raise SolveError("No load acts on free particles in the last equilibrium, so that none can oscillate. Add one.")
     static = _flexibility(solver, last.unknowns, last.t)(loads)
     reach = SMALL * float(total(comm, float(last.volume.sum())) / problem.body.cloud.n_global) ** (1.0 / problem.dim)
 

@@ -119,13 +119,17 @@ class ContactForces(FacetContact):
         return self._tool.absolute(self._x, np.zeros_like(self._x), t)
 
     def tool_forces(self, state: State) -> Float:
-        """Return the forces of the tool on the facets (n_facets, dim) [force]."""
-        return self._forces(state)
+        """Return the forces of the tool on the facets (n_facets, dim) [force], unless it rests."""
+        return super().tool_forces(state) if self._tool.rests else self._forces(state)
 
-    def tool_motion(self, state: State, before: float, after: float) -> Float:
-        """Return how far the points of the tool move that are at the facets in a state (n_facets, dim) [length]."""
-        seen = self._seen(state)[0]
-        return self._tool.absolute(self._x, seen, after) - self._tool.absolute(self._x, seen, before)
+    def tool_work(self, forces: Float, before: State, after: State) -> float:
+        """Return the work of mean forces on the mean way of the points of the tool that are at the facets."""
+        if self._tool.rests:
+            return 0.0
+        x, way = self._x, np.zeros_like(self._x)
+        for seen in (self._seen(before)[0], self._seen(after)[0]):
+            way += self._tool.absolute(x, seen, after.t) - self._tool.absolute(x, seen, before.t)
+        return 0.25 * float((forces * way).sum())
 
     def objection(self, state: State) -> str:
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""

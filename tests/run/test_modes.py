@@ -106,8 +106,13 @@ def test_what_does_not_respond_is_refused(tmp_path):
         pd.FrequencyResponse([], ratio=0.1)
     with pytest.raises(pd.CaseError, match="computed from natural frequencies"):
         pd.Modes(2, of="buckling", response=shaken)
-    with pytest.raises(pd.SolveError, match="No load acts"):
-        pd.run(bar(modes=pd.Modes(1, response=shaken), history=DRIVEN), tmp_path)
+    with pytest.raises(pd.SolveError, match="No load acts on free particles"):
+        pd.run(bar(modes=pd.Modes(1, response=shaken), history=DRIVEN), tmp_path / "none")
+    held = [pd.Clamp("-x"), pd.Force(pd.region.Nearest((0.0,)), x=1.0)]
+    with pytest.raises(pd.SolveError, match="No load acts on free particles"):
+        pd.run(bar(modes=pd.Modes(1, response=shaken), history=DRIVEN, conditions=held), tmp_path / "held")
+    with pytest.raises(pd.CaseError, match="'work' of the history depends on the path"):
+        pd.run(bar(modes=pd.Modes(1, response=shaken), history={"work": pd.ExternalWork()}), tmp_path / "path")
 
 
 def strip(stretch):

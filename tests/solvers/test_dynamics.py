@@ -282,6 +282,69 @@ def test_long_steps_conserve_energy_and_angular_momentum(tmp_path):
     assert max(off[True]) < 1e-10 and min(off[False]) > 1e-3
 
 
+def stretched(conserving, *conditions, **changes):
+    """Return a soft square that is held at a side, with conserving or plain steps."""
+    solver = pd.Implicit(dt=0.2, end=2.0, energy_momentum=conserving, **changes)
+    held = pd.Displacement("-x", x=0.0, y=0.0)
+    history = {"tip": pd.Mean(pd.displacement, "x", "+x"), "error": pd.EnergyError()}
+    case = dataclasses.replace(spinning(solver), conditions=[held, *conditions], history=history)
+    return dataclasses.replace(case, options={"snes_rtol": 1e-11})
+
+
+def test_conserving_steps_begin_at_the_stress_of_the_law(tmp_path):
+    """A preload has the equilibrium of the law, and a support may jump at the start."""
+    force = pd.Force("+x", x=0.1 * E, schedule=pd.Hold())
+    plain, conserving = (
+        pd.run(stretched(one, force, preload=True), tmp_path / str(one)).history["tip"] for one in (False, True)
+    )
+    np.testing.assert_allclose(conserving, plain, rtol=1e-9)
+    assert conserving[-1] > 0.05
+    pulled = pd.Displacement("+x", x=0.1, schedule=pd.Hold())
+    assert np.abs(pd.run(stretched(True, pulled), tmp_path / "jump").history["error"]).max() < 1e-10
+
+
+def test_damping_by_the_stiffness_is_of_second_order_beside_moving_supports(tmp_path):
+    """Velocities of held particles are those of the end of a step, not its mean."""
+    tips = []
+    for n in (32, 64, 128):
+        shaken = [pd.Acceleration("-x", x=3.0), pd.RayleighDamping(stiffness=0.05)]
+        case = bar(pd.Implicit(dt=0.4 / n, end=0.4), conditions=shaken)
+        tips.append(pd.run(case, tmp_path / str(n)).history["tip"][-1])
+    assert (tips[0] - tips[1]) / (tips[1] - tips[2]) == pytest.approx(4.0, rel=0.2)
+
+
+def dragged(**changes):
+    """Return a block on which a tool presses and slides with friction."""
+    tool = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.3, -0.05))
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25),
+        material=pd.LinearElastic(E=1000.0, nu=0.3, plane="stress", density=1.0),
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, 0.3, penetration=0.5)],
+        history={"work": pd.ExternalWork(), "lost": pd.DissipatedEnergy()},
+        fields=[],
+    )
+    if "solver" in changes:
+        case = dataclasses.replace(case, conditions=[*case.conditions, pd.RayleighDamping(mass=2.0)])
+    return dataclasses.replace(case, **changes)
+
+
+@pytest.mark.parametrize(
+    "solver", [pd.Implicit(dt=0.5, end=20.0, radius=0.5), pd.Explicit(end=20.0, records=5, safety=0.5)]
+)
+def test_a_slow_tool_works_as_in_statics(solver, tmp_path):
+    """With friction: work of the tool on its own way, and what friction takes."""
+    statics = pd.run(dragged(steps=pd.Steps(20)), tmp_path / "statics").history
+    motion = pd.run(dragged(solver=solver), tmp_path / "motion").history
+    for name in ("work", "lost"):
+        assert motion[name][-1] == pytest.approx(statics[name][-1], rel=5e-3)
+
+
+def test_friction_that_gives_energy_is_refused(tmp_path):
+    """Sticking springs near the stable step: the forces balance their work, which no tool has done."""
+    with pytest.raises(pd.SolveError, match=r"does not balance .* take a smaller safety"):
+        pd.run(dragged(solver=pd.Explicit(end=20.0, records=5)), tmp_path)
+
+
 def test_a_restart_of_conserving_steps_is_exact(tmp_path):
     case = spinning(pd.Implicit(dt=0.1, end=0.8, energy_momentum=True), dim=3, n=3)
     case = dataclasses.replace(case, checkpoints=1)

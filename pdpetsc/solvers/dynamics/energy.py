@@ -11,13 +11,15 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
 # Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, what failing bonds have
-# released, and the largest energy that the body was given [energy].
-START, DAMPED, LARGEST, WORK, LOST, GIVEN = (
-    "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds", "energy_given"
+# released, the largest energy that the body was given, and what contact has given less what it stores [energy].
+START, DAMPED, LARGEST, WORK, LOST, GIVEN, CREATED = (
+    "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds", "energy_given",
+    "energy_of_contact",
 )  # fmt: skip
 
 
@@ -45,7 +47,7 @@ class MotionBalance:
         Whether all energies are known. They are not if bonds fail unreported or soften in a body with deformation
         gradients, in a body with strains without stress, and for materials that depend on the rate.
     step_work : float
-        Work since the last record [energy].
+        Work of loads, supports and moving tools since the last record [energy]; that of a tool is on its own way.
     amplified : float
         Energy of the body at the last record over the largest that it was given [-].
 
@@ -69,28 +71,37 @@ class MotionBalance:
             dissipated = tells and not (problem.softens and problem.material_term.n_points)
         else:
             dissipated = problem.damage is None or problem.material_term.dissipated_energy() is not None
+        # Friction takes energy, and gives none: that of contact is known if no other term works from outside.
+        self._judges_contact = bool(names) and all(term.energy_of in names for term in self._outside)
+        self._created = resume.get(CREATED, 0.0)
         self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed
         self._begun = START in resume
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
         self.step_work, self.amplified, self._given = 0.0, 0.0, resume.get(GIVEN, 0.0)
-        self._u = self._force = self._resisted = np.zeros(0)
+        self._u = self._force = self._resisted = self._given_by = np.zeros(0)
+        self._with_tools = [term for term in problem.terms if type(term).tool_work is not Term.tool_work]
+        self._tools: list[Float] = []
+        self._state: State | None = None
 
     @property
     def resume(self) -> dict[str, float]:
         """Return the numbers for a checkpoint (not collective)."""
         numbers = {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
-        numbers[GIVEN] = self._given
+        numbers |= {GIVEN: self._given, CREATED: self._created}
         return numbers if self._lost is None else {**numbers, LOST: self._lost}
 
     def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
         """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
         self._u, self._force = state.u, self._acting(state, internal, external)
+        self._given_by, self._tools = self._held_and_loaded(internal, external), self._tool_forces(state)
+        self._state = state if self._tools else None
         self._resisted = self._inertia.damped(self._inertia.v)
         if not self._begun:
             stored, moving = self._held(state, kinetic)
             # Failing points have dissipated energy in a preload.
             self._at_start, self._largest = stored + moving + self._dissipated(), max(abs(stored), moving)
+            self._created = -self._of_contact(state)
         self._begun = True
 
     def move(self, state: State, internal: Float, external: Float, viscous: Float | None = None) -> None:
@@ -100,10 +111,18 @@ class MotionBalance:
             resisted += viscous
         moved = state.u - self._u
         work = 0.5 * float(((force + self._force) * moved).sum())
+        given_by, tools = self._held_and_loaded(internal, external), self._tool_forces(state)
+        outer = 0.5 * float(((given_by + self._given_by) * moved).sum())
+        for term, one, other in zip(self._with_tools, tools, self._tools, strict=True):
+            assert self._state is not None
+            outer += term.tool_work(one + other, self._state, state)
         lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
-        work, lost = total(self._problem.body.cloud.comm, [work, lost]).tolist()
+        work, lost, outer = total(self._problem.body.cloud.comm, [work, lost, outer]).tolist()
         self._work += work
-        self.step_work += work
+        self.step_work += outer
+        self._created += work - outer
+        self._given_by, self._tools = given_by, tools
+        self._state = state if tools else None
         self._damped += lost
         self._u, self._force, self._resisted = state.u, force, resisted
 
@@ -116,6 +135,7 @@ class MotionBalance:
         assert self._lost is not None
         self._lost += released
         self._force = self._acting(state, internal, external)
+        self._given_by = self._held_and_loaded(internal, external)
 
     def record(self, state: State, kinetic: float) -> float:
         """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
@@ -126,16 +146,31 @@ class MotionBalance:
         self._given = max(self._given, abs(self._at_start + self._work))
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
+        if self._judges_contact:
+            off += max(self._created + self._of_contact(state), 0.0)
         return off / self._largest if self.known and self._largest > 0.0 else 0.0
 
     def _dissipated(self) -> float:
         """Return the energy that failing bonds have released in the motion, or points have dissipated [energy]."""
         return self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
 
+    def _of_contact(self, state: State) -> float:
+        """Return the energy of contact that works from outside [energy]."""
+        energies = self._problem.energies(state)
+        return sum(energies[name] for name in self._left_out if name != self._inertia.energy_of)
+
     def _acting(self, state: State, internal: Float, external: Float) -> Float:
         """Compute the forces that work on the body (n_rows, dim) [force]."""
-        held = np.where(self._problem.supports.fixed, internal, external)
+        held = self._held_and_loaded(internal, external)
         return held - self._problem.force_of(self._outside, state) if self._outside else held
+
+    def _held_and_loaded(self, internal: Float, external: Float) -> Float:
+        """Compute the forces of supports and loads (n_rows, dim) [force] (not collective)."""
+        return np.where(self._problem.supports.fixed, internal, external)
+
+    def _tool_forces(self, state: State) -> list[Float]:
+        """Return the forces of moving tools by term."""
+        return [term.tool_forces(state) for term in self._with_tools]
 
     def _held(self, state: State, kinetic: float) -> tuple[float, float]:
         """Return stored and kinetic energy of the body [energy]."""

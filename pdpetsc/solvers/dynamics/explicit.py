@@ -39,7 +39,7 @@ ROUNDED = 1e-12
 # Smallest stiffness of a particle over the largest, where mass is added.
 SOFTEST = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
-FIRST = 1e-6
+FIRST = 1e-3
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
 # The number of time steps between estimates is halved if the frequency grows more, doubled if it grows less.

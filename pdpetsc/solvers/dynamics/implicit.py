@@ -23,6 +23,7 @@ from pdpetsc.solvers.dynamics.motion import (
     begin_motion,
     elastic_tangent,
     forces,
+    held_velocity,
     inertia_of,
     preload,
     printed,
@@ -98,6 +99,7 @@ class ImplicitSolver(TimeStepSolver):
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find the end of the time step to load parameter ``t`` (collective)."""
         self._inertia.step_to(t)
+        self._inertia.held = held_velocity(self.problem, t, t - self.problem.converged)
         return super().solve(u, t)
 
     def _equilibrate(self, u: Float) -> tuple[Float, StepResult]:
@@ -140,6 +142,8 @@ class ImplicitSolver(TimeStepSolver):
             if self._declared.preload:
                 u = preload(problem, u, self._equilibrate, self.stop)
             u = begin_motion(problem, u, self.steps.first)
+            if self._declared.conserving:  # the first step begins at this deformation
+                problem.material_term.commit(problem.state(u, 0.0))
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)

@@ -15,6 +15,8 @@ from pdpetsc.solvers.protocol import StepResult
 
 # Largest number of printed lines of a motion.
 LINES = 50
+# Step of differences in time over a time step.
+SMALL = 1e-3
 # Names in a checkpoint: the time at the end [time], and the error of the energy balance [-].
 END, ERROR = "end", "energy_error"
 
@@ -61,7 +63,7 @@ def forces(problem: Problem, state: State) -> tuple[Float, Float]:
 def elastic_tangent(problem: Problem) -> Tangent:
     """Return the tangent ``K_0`` of material and control in the undeformed body (collective).
 
-    It is that of the undeformed body only if the materials have no history yet.
+    Solvers call it when they are made, before histories are read from a checkpoint.
     """
     rest = problem.state(np.zeros(problem.supports.fixed.shape), 0.0)
     _ = rest.u_local
@@ -107,15 +109,26 @@ def preload(
 def begin_motion(problem: Problem, u: Float, dt: float) -> Float:
     """Set velocity and acceleration at step time 0; return the unknowns (n_rows, dim) there (collective).
 
-    Held components start with their mean velocity over a first step to the step time ``dt``.
+    ``dt`` is the length of the first step in step time.
     """
     inertia, fixed = inertia_of(problem), problem.supports.fixed
     n = len(inertia.mass)
-    at_0, later = problem.supports.prescribed(0.0), problem.supports.prescribed(dt)
-    start = np.where(fixed, at_0, u)
-    held = ((later - at_0) / (dt * problem.duration))[:n]
-    set_in_motion(problem, start, np.where(fixed[:n], held, inertia.v), 0.0)
+    start = np.where(fixed, problem.supports.prescribed(0.0), u)
+    set_in_motion(problem, start, np.where(fixed[:n], held_velocity(problem, 0.0, dt), inertia.v), 0.0)
     return start
+
+
+def held_velocity(problem: Problem, t: float, dt: float) -> Float:
+    """Return the velocities of the held components at step time ``t`` (n_owned, dim) [length / time] (collective).
+
+    They are differences over a small share of a step of length ``dt``, and 0 for free components.
+    """
+    n = problem.body.cloud.n_owned
+    before, after = max(t - SMALL * dt, 0.0), min(t + SMALL * dt, 1.0)
+    if after <= before:
+        return np.zeros((n, problem.dim))
+    moved = problem.supports.prescribed(after) - problem.supports.prescribed(before)
+    return np.asarray(moved[:n] / ((after - before) * problem.duration))
 
 
 def set_in_motion(problem: Problem, u: Float, v: Float, t: float) -> tuple[Float, Float]:

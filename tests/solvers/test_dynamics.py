@@ -97,6 +97,16 @@ def test_the_local_error_decides_on_the_time_step(tmp_path):
     assert off[0] < 0.1 and off[2] < 0.01 and counts[0] > 5
 
 
+def test_a_body_at_rest_begins_to_move_with_steps_of_limited_error(tmp_path):
+    """Under a force that grows from zero the way of the first step is as small as its error."""
+    solver = pd.Implicit(dt=PERIOD / 5, end=PERIOD, error=1e-3)
+    conditions = [pd.Displacement("-x", x=0.0), pd.Traction("+x", x=1.0)]
+    free = pd.run(bar(solver, conditions=conditions), tmp_path / "free").history
+    fixed = pd.run(bar(pd.Implicit(dt=PERIOD / 800, end=PERIOD), conditions=conditions), tmp_path / "fixed").history
+    assert free["tip"][-1] == pytest.approx(fixed["tip"][-1], rel=0.02)
+    assert 10 < len(free["tip"]) < 200
+
+
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_prescribed_velocities_are_integrated(kind, tmp_path):
     """A bar that is driven at its end: a constant velocity after a ramp, and one that depends on place and time."""

@@ -118,11 +118,15 @@ class ImplicitSolver(TimeStepSolver):
         n = len(inertia.mass)
         dt = (state.t - self.problem.converged) * self._declared.end
         free = ~self._fixed[:n]
-        missed = np.where(free, (inertia.blend.beta - 1.0 / 6.0) * dt**2 * (inertia.motion(state)[1] - inertia.a), 0.0)
-        sums = [float(inertia.mass @ (one**2).sum(axis=1)) for one in (missed, state.own)]
-        error, moved = np.sqrt(total(self._comm, sums)).tolist()
+        a = inertia.motion(state)[1]
+        missed = np.where(free, (inertia.blend.beta - 1.0 / 6.0) * dt**2 * (a - inertia.a), 0.0)
+        # A body that begins to move is compared with its way in the largest step: its own way is as small as the error.
+        ahead = np.where(free, 0.5 * self._declared.dt**2 * a, 0.0)
+        sums = [float(inertia.mass @ (one**2).sum(axis=1)) for one in (missed, state.own, ahead)]
+        error, moved, expected = np.sqrt(total(self._comm, sums)).tolist()
         most = max(self._most, moved)
-        off = error / most if most > 0.0 else 0.0
+        size = most if self._most > 0.0 else max(most, expected)
+        off = error / size if size > 0.0 else 0.0
         growth = (off / self._declared.error) ** (1.0 / 3.0)
         if growth <= 1.0:
             self._most = most

@@ -140,8 +140,6 @@ class NonUniform(Control):
 
     def damaged(self, phi: Float) -> Control:
         """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds."""
-        if np.all(phi == 1.0):
-            return self
         stiffness = self._stiffness * phi
         K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
         held = self._K_inverse.any(axis=(1, 2))

@@ -123,7 +123,7 @@ class NonUniform(Control):
         """Return the data of the control for the loop over ``operator`` if H is its gradient, else None."""
         if self._phi is not None:
             return None
-        springs = Springs(self._families, self._stiffness, self._K_inverse, self._cloud.x)
+        springs = Springs(self._families, self._stiffness, self._K_inverse, self._cloud.x, self.force)
         return operator.same_gradient(springs)
 
     def scaled(self, share: Float) -> NonUniform:

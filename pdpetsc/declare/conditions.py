@@ -264,13 +264,10 @@ class Acceleration(DrivenMotion):
 
     Parameters
     ----------
-    region : Region
-        The particles.
+    region, schedule
+        As for ``Velocity``.
     x, y, z : float or callable, optional
         Components [length / time^2]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
-    schedule : callable, optional
-        Factor on the components as a function of the step time; by default 1. A jump or kink within a motion is
-        integrated exactly if it is one of the times of a ``Table``.
 
     Examples
     --------

@@ -63,6 +63,14 @@ class Grid:
     xi: Float
     axis_steps: GlobalIndex
 
+    def rows(self, particles: LocalIndex) -> Rows:
+        """Return the rows of the cells of local particles (n,), the same ones for the same array."""
+        kept: dict[int, tuple[LocalIndex, Rows]] = self.__dict__.setdefault("_rows", {})
+        known = kept.get(id(particles))
+        if known is None or known[0] is not particles:
+            known = kept[id(particles)] = particles, rows_of(self.cell[particles])
+        return known[1]
+
     def onto(self, values: Float) -> Float:
         """Copy vectors of local particles (n_local, components) to an array on the lattice (components, n_cells)."""
         on_cells = np.zeros((values.shape[1], len(self.at)))

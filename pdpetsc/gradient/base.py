@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -15,8 +16,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
-from pdpetsc.gradient.shared_steps import SAME, SharedSteps, shared_steps
-from pdpetsc.kernels.control import non_uniform_force_kernel
+from pdpetsc.gradient.shared_steps import SAME, shared_steps
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.sparsity import transpose
@@ -27,6 +27,8 @@ FLAT = 1e-6
 # Below this share a part of a family, such as a sector, has no gradient point of its own. Sectors of a lattice have
 # more than 0.2.
 THIN = 1e-2
+# No index of moduli: each point has its own.
+NO_SETS = np.empty(0, dtype=np.int32)
 # Largest number of particles that an error message lists.
 NAMED_IDS = 5
 
@@ -243,6 +245,12 @@ class Moduli:
         """Return the moduli of selected points (n, dim, dim, dim, dim) [stress]."""
         return self.values[points if self.of is None else self.of[points]]
 
+    @property
+    def matrices(self) -> tuple[Float, LocalIndex]:
+        """Return the different moduli (n_sets, dim dim, dim dim) [stress], and ``of``, empty instead of None."""
+        size = self.values.shape[1] ** 2
+        return self.values.reshape(-1, size, size), NO_SETS if self.of is None else self.of
+
     @cached_property
     def listed(self) -> Float:
         """Return the moduli of all points (n_points, dim, dim, dim, dim) [stress]."""
@@ -263,19 +271,15 @@ class Springs:
         Inverse of ``sum_j s_ij xi (x) xi``, which gives ``H_i`` [1 / (force length)].
     x : (n_local, dim) float64
         Positions [length].
+    add_forces : callable
+        Adds the forces of ``u`` (n_local, dim) in the families of selected own particles to ``f``.
     """
 
     families: Families
     stiffness: Float
     K_inverse: Float
     x: Float
-
-    def add_forces(self, u: Float, f: Float, particles: LocalIndex) -> float:
-        """Add ``s_ij z_ij`` of selected own particles to ``j`` and its opposite to ``i``; return their energy."""
-        kernel, energy = non_uniform_force_kernel(self.x.shape[1]), np.empty(len(particles))
-        data = self.families.indptr, self.families.neighbours, self.stiffness, self.stiffness, self.K_inverse, self.x
-        kernel(particles, *data, u, f, energy)
-        return float(energy.sum())
+    add_forces: Callable[[Float, Float, LocalIndex], object]
 
 
 class SameGradient:
@@ -466,9 +470,7 @@ def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
     return with_centres(centres, families.indptr, families.neighbours, weight)
 
 
-def regular_shape_tensors(
-    cloud: Cloud, families: Families, weight: Float, name: str, steps: SharedSteps | None = None
-) -> Float:  # fmt: skip
+def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name: str) -> Float:
     """Return the shape tensors of the families of the own particles (n_owned, dim, dim) for weights (n_bonds,).
 
     Raises
@@ -481,7 +483,7 @@ def regular_shape_tensors(
     -----
     Collective.
     """
-    steps = shared_steps(families, weight) if steps is None else steps
+    steps = shared_steps(families, weight)
     K = whole_families(cloud, families, weight).shape_tensors(cloud.x) if steps is None else steps.shape_tensors()
     refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K

@@ -10,8 +10,8 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.lattice_stencils import Rows, rows_of
 from pdpetsc.gradient.base import (
+    NO_SETS,
     ControlledGradient,
     GradientOperator,
     ListedOnUse,
@@ -30,9 +30,7 @@ from pdpetsc.kernels.broken_lattice import (
     families_alike,
 )
 from pdpetsc.kernels.lattice_stencils import add_from_cells
-
-NO_SETS = np.empty(0, dtype=np.int32)
-NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
+from pdpetsc.kernels.tangent import NO_CONTROL
 
 
 class BrokenLatticeGradient(ListedOnUse):
@@ -55,13 +53,12 @@ class BrokenLatticeGradient(ListedOnUse):
     ) -> None:  # fmt: skip
         owner = np.arange(cloud.n_owned, dtype=np.int32)
         self.__dict__.update(owner=owner, volume=volume, note="", parts=None)
-        self.__dict__.update(cloud=cloud, families=families, steps=steps, K_inverse=K_inverse, rows={})
+        self.__dict__.update(cloud=cloud, families=families, steps=steps, K_inverse=K_inverse)
 
     cloud: Cloud
     families: Families
     steps: SharedSteps
     K_inverse: Float
-    rows: dict[int, tuple[LocalIndex, Rows]]
 
     @cached_property
     def points_of(self) -> GlobalIndex:
@@ -69,11 +66,9 @@ class BrokenLatticeGradient(ListedOnUse):
         return np.arange(self.n_points + 1)
 
     def row_loop(self, particles: LocalIndex) -> tuple[GlobalIndex, GlobalIndex, LocalIndex]:
-        """Return first cells and lengths of the rows of own particles, and the particle of each cell; cached."""
-        known = self.rows.get(id(particles))
-        if known is None or known[0] is not particles:
-            known = self.rows[id(particles)] = particles, rows_of(self.steps.grid.cell[particles])
-        return known[1].starts, known[1].lengths, self.steps.grid.at
+        """Return first cells and lengths of the rows of own particles, and the particle of each cell."""
+        rows = self.steps.grid.rows(particles)
+        return rows.starts, rows.lengths, self.steps.grid.at
 
     def gradient(self, u: Float) -> Float:
         """Return ``H_i = sum_j w_ij eta_ij (x) xi_ij K_i^-1`` (n_owned, dim, dim) for ``u`` (n_local, dim)."""
@@ -189,23 +184,17 @@ class RowLoop(PointLoop):
     A: Moduli
     control: RowSprings | None = None
 
-    @property
-    def _moduli(self) -> tuple[Float, LocalIndex]:
-        """Return the moduli (n_sets, dim dim, dim dim) and the index of those of each point."""
-        size = self.A.values.shape[1] ** 2
-        return self.A.values.reshape(-1, size, size), NO_SETS if self.A.of is None else self.A.of
-
     def controlled(self, same: SameGradient | None) -> PointLoop | None:
         """Return the loop with a control that has the same steps; None for other controls."""
         return RowLoop(self.operator, self.A, same) if isinstance(same, RowSprings) else None
 
     def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the points of selected own particles for displacements (n_local, dim)."""
-        self.operator.add_forces(particles, *self._moduli, self.control, u, f)
+        self.operator.add_forces(particles, *self.A.matrices, self.control, u, f)
 
     def add_point_blocks(self, blocks: Float) -> None:
         """Add ``W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
         of, dim = self.operator, blocks.shape[-1]
         grid, data = of.steps.grid, (of.steps.table, *of.steps.exceptions, of.K_inverse, of.volume)
         kernel = broken_blocks_kernel(dim)
-        kernel(of.families.everyone, grid.cell, grid.at, *data, *self._moduli, blocks.reshape(-1, dim * dim))
+        kernel(of.families.everyone, grid.cell, grid.at, *data, *self.A.matrices, blocks.reshape(-1, dim * dim))

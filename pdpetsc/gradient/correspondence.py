@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import GradientOperator, Scheme, operator, regular_shape_tensors, whole_families
+from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families
 from pdpetsc.gradient.broken_lattice import BrokenLatticeGradient
 from pdpetsc.gradient.shared_steps import shared_steps
 from pdpetsc.kernels.gradient import inverses
+
+# Name in messages.
+NAME = "plain correspondence"
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,10 @@ class Correspondence(Scheme):
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
         steps = shared_steps(families, weight)
-        K = regular_shape_tensors(cloud, families, weight, "plain correspondence", steps)
         if steps is None:
-            return operator(cloud, whole_families(cloud, families, weight))
+            stencils = whole_families(cloud, families, weight)
+            refuse_flat(cloud, np.flatnonzero(flat(stencils.shape_tensors(cloud.x))), NAME)
+            return operator(cloud, stencils)
+        K = steps.shape_tensors()
+        refuse_flat(cloud, np.flatnonzero(flat(K)), NAME)
         return BrokenLatticeGradient(cloud, families, steps, inverses(K), cloud.volume[: cloud.n_owned].copy())

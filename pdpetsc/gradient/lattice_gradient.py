@@ -15,12 +15,19 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedOnUse, Moduli, PointLoop, SameGradient
+from pdpetsc.gradient.base import (
+    NO_SETS,
+    ControlledGradient,
+    GradientOperator,
+    ListedOnUse,
+    Moduli,
+    PointLoop,
+    SameGradient,
+)
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Tolerance for opposite weights and equal stiffnesses of opposite members, as a share of the largest.
 OPPOSITE = 1e-12
-NO_SETS = np.empty(0, dtype=np.int32)
 NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0, 0, 0)))
 
 
@@ -268,11 +275,8 @@ class LatticeLoop(PointLoop):
     """
 
     def __init__(self, operator: LatticeGradient, A: Moduli) -> None:
-        self._operator, dim = operator, operator.lattice.cloud.dim
-        self._points = RowPoints(
-            operator.points_of, operator.point_volumes, A.values.reshape(-1, dim * dim, dim * dim),
-            NO_SETS if A.of is None else A.of,
-        )  # fmt: skip
+        self._operator = operator
+        self._points = RowPoints(operator.points_of, operator.point_volumes, *A.matrices)
         of_irregular = np.zeros((operator.irregular.n_points, *A.values.shape[1:]))
         of_irregular[: len(operator.alone)] = A.at(operator.alone)
         self._alone = operator.irregular.loop(Moduli(of_irregular))

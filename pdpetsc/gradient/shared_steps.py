@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.lattice_stencils import Grid, rows_of
+from pdpetsc.discrete.lattice_stencils import Grid
 from pdpetsc.kernels.broken_lattice import lacking_steps, subtract_lacking
 
 # Tolerance for equal weights, as a share of the largest weight.
@@ -98,7 +98,7 @@ def shared_steps(families: Families, weight: Float) -> SharedSteps | None:
     n_lacking = n * len(steps) - int(np.count_nonzero(weight))
     if len(steps) > np.iinfo(np.int16).max:
         return None
-    if n_lacking > MOST_LACKING * n * len(steps) or n < SHORTEST * len(rows_of(grid.cell[:n]).starts):
+    if n_lacking > MOST_LACKING * n * len(steps) or n < SHORTEST * len(grid.rows(families.everyone).starts):
         return None
     number_of = np.full(2 * int(steps.max()) + 1, -1, dtype=np.int32)
     number_of[steps + steps.max()] = np.arange(len(steps))

@@ -112,8 +112,7 @@ class Solution:
             return
         forces = self._acting + before._acting
         moved = 0.5 * float((forces * (self.unknowns - before.unknowns)).sum())
-        for term, force, at_start in zip(self.problem.terms, self._tool_forces, before._tool_forces, strict=True):
-            moved += term.tool_work(force + at_start, before.state, self.state)
+        moved += self.problem.tool_work(before.state, self.state, before._tool_forces, self._tool_forces)
         self.work = before.work + float(self.sum(moved))
 
     @cached_property
@@ -129,7 +128,7 @@ class Solution:
     @cached_property
     def _tool_forces(self) -> list[Float]:
         """Return the forces of tools by term, which depend on the step that ends here with friction."""
-        return [term.tool_forces(self.state) for term in self.problem.terms]
+        return self.problem.tool_forces(self.state)
 
     @cached_property
     def energies(self) -> dict[str, float]:

@@ -178,6 +178,20 @@ class Problem:
         terms = [term for term in self.terms if not (term.load or term.of_solver)]
         return [term for term in terms if term.works or type(term).energy is Term.energy]
 
+    def tool_forces(self, state: State) -> list[Float]:
+        """Return the forces of moving tools at a state, by term."""
+        return [term.tool_forces(state) for term in self._with_tools]
+
+    def tool_work(self, before: State, after: State, forces: Sequence[Float], later: Sequence[Float]) -> float:
+        """Return the work of tools between two states with their ``tool_forces`` on this rank [energy]."""
+        terms = zip(self._with_tools, forces, later, strict=True)
+        return sum(term.tool_work(one + other, before, after) for term, one, other in terms)
+
+    @property
+    def _with_tools(self) -> list[Term]:
+        """Return the terms that may have a moving tool (not collective)."""
+        return [term for term in self.terms if type(term).tool_work is not Term.tool_work]
+
     @property
     def joined(self) -> LocalIndex:
         """Return pairs (n, 2) of local particles that terms hold together in every direction (not collective)."""

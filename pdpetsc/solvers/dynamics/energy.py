@@ -11,7 +11,6 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Term
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
@@ -80,7 +79,6 @@ class MotionBalance:
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
         self.step_work, self.amplified, self._given = 0.0, 0.0, resume.get(GIVEN, 0.0)
         self._u = self._force = self._resisted = self._given_by = np.zeros(0)
-        self._with_tools = [term for term in problem.terms if type(term).tool_work is not Term.tool_work]
         self._tools: list[Float] = []
         self._state: State | None = None
 
@@ -93,29 +91,29 @@ class MotionBalance:
 
     def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
         """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
-        self._u, self._force = state.u, self._acting(state, internal, external)
-        self._given_by, self._tools = self._held_and_loaded(internal, external), self._tool_forces(state)
+        self._u, (self._given_by, self._force) = state.u, self._acting(state, internal, external)
+        self._tools = self._problem.tool_forces(state)
         self._state = state if self._tools else None
         self._resisted = self._inertia.damped(self._inertia.v)
         if not self._begun:
-            stored, moving = self._held(state, kinetic)
+            stored, moving, touching = self._held(state, kinetic)
             # Failing points have dissipated energy in a preload.
             self._at_start, self._largest = stored + moving + self._dissipated(), max(abs(stored), moving)
-            self._created = -self._of_contact(state)
+            self._created = -touching
         self._begun = True
 
     def move(self, state: State, internal: Float, external: Float, viscous: Float | None = None) -> None:
         """Add the work of the step to a state, with the forces of viscous damping (n_owned, dim), if any."""
-        force, resisted = self._acting(state, internal, external), self._inertia.damped(self._inertia.v)
+        given_by, force = self._acting(state, internal, external)
+        resisted = self._inertia.damped(self._inertia.v)
         if viscous is not None:
             resisted += viscous
         moved = state.u - self._u
         work = 0.5 * float(((force + self._force) * moved).sum())
-        given_by, tools = self._held_and_loaded(internal, external), self._tool_forces(state)
+        tools = self._problem.tool_forces(state)
         outer = 0.5 * float(((given_by + self._given_by) * moved).sum())
-        for term, one, other in zip(self._with_tools, tools, self._tools, strict=True):
-            assert self._state is not None
-            outer += term.tool_work(one + other, self._state, state)
+        if self._state is not None:
+            outer += self._problem.tool_work(self._state, state, self._tools, tools)
         lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
         work, lost, outer = total(self._problem.body.cloud.comm, [work, lost, outer]).tolist()
         self._work += work
@@ -134,46 +132,33 @@ class MotionBalance:
         """Add energy that failing bonds have released at a displacement [energy], and continue with forces after it."""
         assert self._lost is not None
         self._lost += released
-        self._force = self._acting(state, internal, external)
-        self._given_by = self._held_and_loaded(internal, external)
+        self._given_by, self._force = self._acting(state, internal, external)
 
     def record(self, state: State, kinetic: float) -> float:
         """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
         self.step_work = 0.0
-        stored, moving = self._held(state, kinetic)
+        stored, moving, touching = self._held(state, kinetic)
         lost = self._dissipated()
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
         self._given = max(self._given, abs(self._at_start + self._work))
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
         if self._judges_contact:
-            off += max(self._created + self._of_contact(state), 0.0)
+            off += max(self._created + touching, 0.0)
         return off / self._largest if self.known and self._largest > 0.0 else 0.0
 
     def _dissipated(self) -> float:
         """Return the energy that failing bonds have released in the motion, or points have dissipated [energy]."""
         return self._lost if self._lost is not None else self._problem.material_term.dissipated_energy() or 0.0
 
-    def _of_contact(self, state: State) -> float:
-        """Return the energy of contact that works from outside [energy]."""
-        energies = self._problem.energies(state)
-        return sum(energies[name] for name in self._left_out if name != self._inertia.energy_of)
+    def _acting(self, state: State, internal: Float, external: Float) -> tuple[Float, Float]:
+        """Compute the forces of supports and loads, and all that work on the body, each (n_rows, dim) [force]."""
+        given_by = np.where(self._problem.supports.fixed, internal, external)
+        return given_by, given_by - self._problem.force_of(self._outside, state) if self._outside else given_by
 
-    def _acting(self, state: State, internal: Float, external: Float) -> Float:
-        """Compute the forces that work on the body (n_rows, dim) [force]."""
-        held = self._held_and_loaded(internal, external)
-        return held - self._problem.force_of(self._outside, state) if self._outside else held
-
-    def _held_and_loaded(self, internal: Float, external: Float) -> Float:
-        """Compute the forces of supports and loads (n_rows, dim) [force] (not collective)."""
-        return np.where(self._problem.supports.fixed, internal, external)
-
-    def _tool_forces(self, state: State) -> list[Float]:
-        """Return the forces of moving tools by term."""
-        return [term.tool_forces(state) for term in self._with_tools]
-
-    def _held(self, state: State, kinetic: float) -> tuple[float, float]:
-        """Return stored and kinetic energy of the body [energy]."""
+    def _held(self, state: State, kinetic: float) -> tuple[float, float, float]:
+        """Return stored and kinetic energy of the body, and that of contact that works from outside [energy]."""
         energies = self._problem.energies(state)
         stored = sum(value for name, value in energies.items() if name not in self._left_out)
-        return stored, float(total(self._problem.body.cloud.comm, kinetic))
+        touching = sum(energies[name] for name in self._left_out if name != self._inertia.energy_of)
+        return stored, float(total(self._problem.body.cloud.comm, kinetic)), touching

@@ -14,13 +14,19 @@ from pdpetsc.declare.schedule import Ramp, Schedule
 from pdpetsc.declared import Declared, Finite
 from pdpetsc.errors import CaseError
 
+# Number of components of a rotation by the dimension.
+ROTATIONS = {1: 0, 2: 1, 3: 3}
+
 
 @dataclass(frozen=True)
 class RigidMotion(Declared):
     """A rigid motion: a point X moves to ``R (X - c) + c + d``.
 
     With the factor ``s(t)`` of the schedule, ``d = s move``, R is the rotation by ``s turn``, and ``c = about``. Each
-    component of ``move`` may have a schedule of its own, so that a tool presses first and slides then.
+    component may have a schedule of its own, so that a tool presses first and slides then.
+
+    A tool or region with a load is a rigid body in equilibrium. Components of d with a force, and the rotation with a
+    moment, follow from it.
 
     Parameters
     ----------
@@ -31,65 +37,104 @@ class RigidMotion(Declared):
         axis in space (3,). None by default.
     about : sequence of float, optional
         The point (dim,) about which it turns [length].
+    force : sequence of float or None, optional
+        Force on the tool or region at the end of the load (dim,) [force], of fixed direction at ``about``. None for the
+        components in which ``move`` prescribes the motion. No force by default.
+    moment : float or sequence of float, optional
+        Moment about ``about`` at the end of the load [force length], of fixed direction in space: a number in 2D, (3,)
+        in space; 0 lets it turn freely. By default ``turn`` prescribes the rotation.
     schedule : callable or sequence of callables, optional
-        Factor on ``move`` and ``turn`` as a function of the load parameter; ``Ramp()`` by default. A sequence has one
-        for each component of ``move``, then one for ``turn`` if that is declared.
+        Factor on motions and loads as a function of the load parameter; ``Ramp()`` by default. A sequence has one for
+        each direction, then one for the rotation if ``turn`` or ``moment`` is declared.
     """
 
     move: Sequence[float] = field(default=(), kw_only=True)
     turn: Finite | Sequence[float] = field(default=(), kw_only=True)
     about: Sequence[float] = field(default=(), kw_only=True)
+    force: Sequence[float | None] = field(default=(), kw_only=True)
+    moment: Finite | Sequence[float] = field(default=(), kw_only=True)
     schedule: Schedule | Sequence[Schedule] = field(default_factory=Ramp, kw_only=True)
 
     @property
     def turns(self) -> bool:
-        """Return True if a rotation is declared."""
-        return len(np.ravel(self.turn)) > 0
+        """Return True if a rotation or a moment is declared."""
+        return len(np.ravel(self.turn)) > 0 or self.twisted
+
+    @property
+    def twisted(self) -> bool:
+        """Return True if a moment is declared."""
+        return len(np.ravel(self.moment)) > 0
+
+    @property
+    def loaded(self) -> bool:
+        """Return True if a part of the motion follows from a load."""
+        return self.twisted or any(component is not None for component in self.force)
 
     @property
     def rests(self) -> bool:
         """Return True if there is no motion."""
-        return not (np.any(self.move) or np.any(np.ravel(self.turn)))
+        return not (np.any(self.move) or np.any(np.ravel(self.turn)) or self.loaded)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if vectors have another number of components than ``dim``."""
-        if len(self.move) not in (0, dim):
-            raise CaseError(f"{type(self).__name__} moves by {len(self.move)} numbers in {dim} dimensions; give {dim}.")
-        numbers = np.ravel(self.turn)
-        if len(numbers) not in (0, {2: 1, 3: 3}.get(dim, 0)):
-            raise CaseError(
-                f"{type(self).__name__} turns by {len(numbers)} numbers in {dim} dimensions; give "
-                f"{'an angle' if dim == 2 else 'the angle times the direction of the axis'}."
-            )
-        if len(numbers) and len(self.about) != dim:
-            raise CaseError(f"{type(self).__name__} turns about a point of {dim} numbers, not {len(self.about)}.")
-
+        """Raise CaseError if vectors have another number of components than ``dim``, or motion and load conflict."""
+        title = type(self).__name__
+        for does, given in (("moves", self.move), ("is pushed", self.force)):
+            if len(given) not in (0, dim):
+                raise CaseError(f"{title} {does} by {len(given)} numbers in {dim} dimensions; give {dim}.")
+        for does, numbers, single in (
+            ("turns", np.ravel(self.turn), "an angle"),
+            ("is turned", np.ravel(self.moment), "a moment"),
+        ):
+            if len(numbers) not in (0, {2: 1, 3: 3}.get(dim, 0)):
+                raise CaseError(
+                    f"{title} {does} by {len(numbers)} numbers in {dim} dimensions; give "
+                    f"{single if dim == 2 else f'{single} times the direction of the axis'}."
+                )
+        if self.turns and len(self.about) != dim:
+            raise CaseError(f"{title} turns about a point of {dim} numbers, not {len(self.about)}.")
+        both = [axis for axis, m, f in zip("xyz", self.move, self.force, strict=False) if f is not None and m != 0.0]
+        if both or (self.twisted and np.any(np.ravel(self.turn))):
+            what = f"a motion and a force in {both[0]}" if both else "a turn and a moment"
+            raise CaseError(f"{title} has {what}. Leave one of them out: the load determines the motion.")
         if not callable(self.schedule):
-            needed = len(self.move) + self.turns
+            needed = max(len(self.move), len(self.force)) + self.turns
             if len(self.schedule) != needed:
                 raise CaseError(
-                    f"{type(self).__name__} has {len(self.schedule)} schedules; give one for all, or {needed}: one for "
-                    f"each component of move{', then one for turn' if self.turns else ''}."
+                    f"{title} has {len(self.schedule)} schedules; give one for all, or {needed}: one for each "
+                    f"direction{', then one for the rotation' if self.turns else ''}."
                 )
 
     def _factors(self, t: float) -> list[float]:
-        """Return the factor of each component of ``move``, then that of ``turn``."""
+        """Return the factor of each direction, then that of the rotation."""
         what = f"schedule of a {type(self).__name__}"
         if callable(self.schedule):
-            return [float(evaluated(what, self.schedule, (), t, t))] * (len(self.move) + 1)
+            return [float(evaluated(what, self.schedule, (), t, t))] * (max(len(self.move), len(self.force)) + 1)
         found = [float(evaluated(what, one, (), t, t)) for one in self.schedule]
         return found if self.turns else [*found, 0.0]
 
     def angle(self, before: float, t: float) -> float:
-        """Compute the angle of the rotation between two load parameters [rad]."""
+        """Compute the angle of the prescribed rotation between two load parameters [rad]."""
         return float(np.linalg.norm(np.ravel(self.turn))) * abs(self._factors(t)[-1] - self._factors(before)[-1])
 
     def motion(self, t: float, dim: int) -> tuple[Float, Float]:
-        """Compute rotation (dim, dim) and displacement (dim,) [length] at a load parameter."""
+        """Compute rotation (dim, dim) and displacement (dim,) [length] at a load parameter, as without load."""
         *factors, factor = self._factors(t)
         moved = np.asarray(self.move, dtype=float) * factors if len(self.move) else np.zeros(dim)
-        if not self.turns:
-            return np.eye(dim), moved
         numbers = np.ravel(self.turn)
+        if len(numbers) == 0:
+            return np.eye(dim), moved
         about = numbers if dim == 3 else np.array([0.0, 0.0, numbers[0]])
         return scipy.spatial.transform.Rotation.from_rotvec(factor * about).as_matrix()[:dim, :dim], moved
+
+    def load(self, t: float, dim: int) -> Float:
+        """Compute force and moment at a load parameter (dim + rotations,) [force], [force length].
+
+        The moment has one component in 2D, three in space, none in 1D.
+        """
+        *factors, factor = self._factors(t)
+        found = np.zeros(dim + ROTATIONS[dim])
+        if len(self.force):
+            found[:dim] = np.array([component or 0.0 for component in self.force]) * factors
+        if self.twisted:
+            found[dim:] = factor * np.ravel(self.moment)
+        return found

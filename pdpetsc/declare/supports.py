@@ -51,13 +51,14 @@ class RigidRegion(RigidMotion, _Support):
     """Move a side or a region as a rigid body, with finite rotations.
 
     Particles are chosen as by ``Clamp``; of a ``Lattice`` also those of any region, which are then held themselves.
-    ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it.
+    ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it. With ``force`` or
+    ``moment`` the motion follows from these loads; equilibria of load steps only, with ``Newton``.
 
     Parameters
     ----------
     region : Region or str
         A side, ``"-x"`` to ``"+z"``, or the name of a set or a region.
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
 
     Raises
@@ -70,6 +71,7 @@ class RigidRegion(RigidMotion, _Support):
     >>> import pdpetsc as pd
     >>> rolled = pd.RigidRegion("+x", turn=3.0, move=(-2.0, 1.0), about=(10.0, 0.0))
     >>> twisted = pd.RigidRegion("+z", turn=(0.0, 0.0, 1.5), about=(0.0, 0.0, 5.0))
+    >>> bent = pd.RigidRegion("+x", force=(0.0, 0.0), moment=2.0, about=(10.0, 0.0))
     """
 
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:
@@ -78,21 +80,8 @@ class RigidRegion(RigidMotion, _Support):
 
     def put(self, onto: Any, name: str) -> None:
         """Prescribe all components."""
-        dim = onto.body.dim
-        RigidMotion.check(self, dim)
         free = isinstance(onto.particles, Lattice) or not isinstance(self.region, Face)
-        region = self.region if free else self._on(onto.particles)
-
-        def component(axis: int) -> Callable[[Float, float], Float]:
-            def value(x: Float, t: float) -> Float:
-                R, d = self.motion(t, dim)
-                around = np.asarray(self.about, dtype=float) if self.turns else np.zeros(dim)
-                return np.asarray(((x - around) @ (R - np.eye(dim)).T + d)[:, axis])
-
-            return value
-
-        x, y, z = (component(axis) if axis < dim else None for axis in range(3))
-        onto.displacement(Displacement(region, x, y, z), name)
+        onto.rigid_region(self, self.region if free else self._on(onto.particles), name)
 
 
 @dataclass(frozen=True)

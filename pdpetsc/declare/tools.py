@@ -23,7 +23,7 @@ class RigidTool(RigidMotion, ABC):
 
     Parameters
     ----------
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         Its motion, as for ``RigidMotion``.
 
     Examples
@@ -55,20 +55,6 @@ class RigidTool(RigidMotion, ABC):
             Its second gradient [1 / length].
         """
 
-    def relative(self, x: Float, u: Float, t: float) -> tuple[Float, Float]:
-        """Compute the displacements (n, dim) [length] of points ``x`` as seen from the tool, and its rotation."""
-        R, d = self.motion(t, x.shape[1])
-        if not self.turns:
-            return u - d, R
-        return (u - d) @ R + (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1])), R
-
-    def absolute(self, x: Float, v: Float, t: float) -> Float:
-        """Compute the displacements (n, dim) [length] of points ``x`` from those as seen from the tool."""
-        R, d = self.motion(t, x.shape[1])
-        if not self.turns:
-            return v + d
-        return np.asarray((v - (x - np.asarray(self.about, dtype=float)) @ (R - np.eye(x.shape[1]))) @ R.T + d)
-
 
 def _vector(tool: RigidTool, name: str, dim: int) -> Float:
     values = np.asarray(getattr(tool, name), dtype=float)
@@ -87,7 +73,7 @@ class RigidPlane(RigidTool):
         A point of the plane (dim,) [length].
     normal : sequence of float
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
 
     Examples
@@ -125,7 +111,7 @@ class RigidBox(RigidTool):
         Its opposite corners (dim,) [length].
     radius : float
         Radius of its edges and corners [length]; 0 by default.
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
 
     Examples
@@ -178,7 +164,7 @@ class RigidSphere(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the ball.
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
 
     Examples
@@ -215,7 +201,7 @@ class RigidCylinder(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the cylinder.
-    move, turn, about, schedule
+    move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
 
     Examples

@@ -15,6 +15,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State
 from pdpetsc.renamed import warn
 
@@ -170,6 +171,11 @@ class Term(ABC):
         The sparsity is then that of whole families.
         """
         return False
+
+    @property
+    def rigid(self) -> RigidBody | None:
+        """Return the rigid body that the term holds, if its motion follows from a load; else None (not collective)."""
+        return None
 
     def tool_displacements(self, t: float) -> Float:
         """Return displacements that describe the motion of a tool (n, dim) [length], by default none."""

@@ -102,6 +102,8 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
         wrong = "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     elif not problem.symmetric:
         wrong = "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
+    elif any(term.rigid is not None for term in problem.terms):
+        wrong = "hold rigid bodies where they are, and do not go with one whose motion follows from a load"
     elif not isinstance(case.solver, Newton):
         wrong = "need the tangent of load steps: let the solver be Newton()"
     elif declared.of == "buckling" and problem.material_term.linear:

@@ -65,6 +65,8 @@ class Equilibrium:
         Load parameter of the current solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
         Prescribed unknowns at that load parameter [length], and loads at the last evaluation of the residual [force].
+    size : float
+        Size of the body [length].
     scales : Scales
         Units of displacements, forces and tangent in PETSc.
     tangent : PetscTangent
@@ -100,9 +102,9 @@ class Equilibrium:
             largest(comm, float(a.max(initial=-np.inf))) - smallest(comm, float(a.min(initial=np.inf))) for a in x.T
         ]
         least = smallest(comm, float(spacing.min(initial=np.inf)))
-        # Size of the body [length], and its ratio to the smallest distance of particles [-].
-        self._size = float(np.linalg.norm(sides)) + least
-        self._slender = self._size / least
+        self.size = float(np.linalg.norm(sides)) + least
+        # Ratio of the size to the smallest distance of particles [-].
+        self._slender = self.size / least
         self.scales = scales_of(problem.body, problem.material_term)
         self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)
         self.t = 0.0
@@ -296,7 +298,7 @@ class Equilibrium:
         """
         first, most = self._moved
         self._moved = first or moved, max(most, moved)
-        self._lost = moved > self._size + self._slender * jump and self.resting and not self.problem.linear
+        self._lost = moved > self.size + self._slender * jump and self.resting and not self.problem.linear
 
     def negative_pivots(self, snes: PETSc.SNES, ksp: PETSc.KSP) -> int | None:
         """Return the negative pivots of the last tangent that was solved with; None if they are unknown.

@@ -16,6 +16,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNSETTLED, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
+from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.unique import refuse_mechanism
 
 # Tolerance of intermediate equilibria.
@@ -53,6 +54,9 @@ class SnesSolver(StepSolver):
         self._n_u = problem.supports.fixed.size
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
+        self._rigid: RigidBodies | None = None
+        if any(term.rigid is not None for term in problem.terms):
+            self._rigid = RigidBodies(problem, self._equilibrium.size)
         self.snes = PETSc.SNES().create(comm=self._comm)
         # Whether the energy rises along the last step of the linear solver.
         self._rises = False
@@ -145,7 +149,7 @@ class SnesSolver(StepSolver):
         return np.asarray(x.array_r[: self._n_u] * self._scales.length)
 
     def _rested(self) -> tuple[bool, int]:
-        """Solve again with moved springs, other near facets and new multipliers, until none of these moves the body.
+        """Solve again with moved springs, other near facets, new multipliers and moved rigid bodies until none changes.
 
         Return True if forces balance without the springs, the contacts have settled and no term objects to the step,
         and the linear iterations.
@@ -167,6 +171,16 @@ class SnesSolver(StepSolver):
                 return resting, linear
             state = self.problem.state(found, sought.t)
             if self._unchanged(state) and not self.problem.update_multipliers(state):
+                moved = self._balanced(state)
+                if moved is not None:
+                    sought.reason = ""
+                    sought.impose(sought.t)
+                    linear += self._iterate(sought.at_prescribed(moved))
+                    resting = sought.at_rest(self._read(self._x), self._rtol)
+                    continue
+                if self._rigid is not None and self._rigid.objection:
+                    sought.reason = self._rigid.objection
+                    return False, linear
                 state = self.problem.state(found, sought.t)
                 objection = self.problem.objection(state)
                 sought.reason = objection or sought.reason
@@ -176,6 +190,19 @@ class SnesSolver(StepSolver):
             resting = sought.at_rest(self._read(self._x), self._rtol)
         sought.reason = UNSETTLED
         return False, linear
+
+    def _balanced(self, state: State) -> Float | None:
+        """Move loaded rigid bodies; return the unknowns to solve from again, None if they are in equilibrium."""
+        if self._rigid is None:
+            return None
+        sought, ksp = self._equilibrium, self.snes.getKSP()
+        sought.update(state)
+        ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
+        return self._rigid.moved(state, self._reply)
+
+    def _reply(self, force: Float) -> Float:
+        """Solve the last tangent for forces (n_rows, dim) [force]; return the displacements (n_rows, dim) [length]."""
+        return self._answer(force)[: self._n_u].reshape(force.shape)
 
     def _unchanged(self, state: State) -> bool:
         """Let the terms follow an equilibrium; return True if it is one of the changed forces too."""
@@ -206,7 +233,11 @@ class SnesSolver(StepSolver):
         solved = self.meets_curvature and self.snes.getIterationNumber() > 0
         if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
-        return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
+        found = None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
+        if found is None or self._rigid is None:
+            return found
+        at = self._equilibrium.at_prescribed(self._read(self._x))
+        return found + self._rigid.unstable(self.problem.state(at, self._equilibrium.t), self._reply)
 
     def _answer(self, b: Float) -> Float:
         """Solve the last tangent for forces ``b``; return the unknowns (n,) [length]."""

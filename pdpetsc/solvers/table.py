@@ -80,6 +80,12 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective)."""
     solver_of(problem, declared).refuse(problem)
+    rigid = next((term.rigid for term in problem.terms if term.rigid is not None), None)
+    if rigid is not None and solver_of(problem, declared) is not StaticSolver:
+        raise CaseError(
+            f"{rigid.title} has a load, and {declared.title} does not find its motion. Use Newton, with staggered "
+            f"coupling of a temperature, or prescribe the motion."
+        )
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(

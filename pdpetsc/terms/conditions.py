@@ -29,7 +29,7 @@ from pdpetsc.declare.conditions import (
 from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.supports import Foundation, PointSupport
+from pdpetsc.declare.supports import Foundation, PointSupport, RigidRegion
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import agreed, largest, total
@@ -38,6 +38,7 @@ from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
@@ -49,6 +50,7 @@ from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.facet_contact import STIFFNESS, Points
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
+from pdpetsc.terms.loaded_region import LoadedRegion
 from pdpetsc.terms.particle_contact import ParticleContactForces
 from pdpetsc.terms.point_springs import FoundationForces
 from pdpetsc.terms.surface_loads import SurfaceLoads
@@ -119,6 +121,24 @@ class Applied:
         """Prescribe displacements."""
         mask, components = self._where(condition, name)
         self.supports.prescribe(condition, components, np.flatnonzero(mask), name)
+
+    def rigid_region(self, condition: RigidRegion, region: Region, name: str) -> None:
+        """Prescribe the displacements of a rigid region, whose motion may follow from a load."""
+        cloud = self.body.cloud
+        with agreed(cloud.comm):
+            condition.check(cloud.dim)
+        own = np.flatnonzero(select(cloud, region, name)).astype(np.int32)
+        rows = np.zeros(cloud.n_rows, dtype=bool)
+        rows[own] = True
+        rigid = RigidBody(condition, cloud.comm, cloud.dim, own, f"The region of {name}", rows)
+
+        def component(axis: int) -> Callable[[Float, float], Float]:
+            return lambda x, t: rigid.absolute(x, np.zeros_like(x), t)[:, axis]
+
+        x, y, z = (component(axis) if axis < cloud.dim else None for axis in range(3))
+        self.displacement(Displacement(region, x, y, z), name)
+        if condition.loaded:
+            self.following.append(LoadedRegion(rigid, own))
 
     def initial_velocity(self, condition: InitialVelocity, name: str) -> None:
         """Set initial velocities."""

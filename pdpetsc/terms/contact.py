@@ -12,6 +12,7 @@ from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
@@ -61,6 +62,7 @@ class ContactForces(FacetContact):
             declared.name,
         )  # fmt: skip
         self._tool = declared.tool
+        self._moving = RigidBody(declared.tool, body.cloud.comm, body.dim, self._owner, title)
         self.works = self._mu > 0.0 or not declared.tool.rests
         self._x, self._at = facets.x, Points.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
@@ -83,7 +85,7 @@ class ContactForces(FacetContact):
         u = state.u_local
 
         def make() -> tuple[Float, Float]:
-            return self._tool.relative(self._x, self._at.moved(u), state.t)
+            return self._moving.relative(self._x, self._at.moved(u), state.t)
 
         return state.kept((self, "seen"), make)
 
@@ -116,7 +118,7 @@ class ContactForces(FacetContact):
 
     def tool_displacements(self, t: float) -> Float:
         """Return the displacements of points that move with the tool, at the facets in the undeformed body."""
-        return self._tool.absolute(self._x, np.zeros_like(self._x), t)
+        return self._moving.absolute(self._x, np.zeros_like(self._x), t)
 
     def tool_forces(self, state: State) -> Float:
         """Return the forces of the tool on the facets (n_facets, dim) [force], unless it rests."""
@@ -128,37 +130,65 @@ class ContactForces(FacetContact):
             return 0.0
         x, way = self._x, np.zeros_like(self._x)
         for seen in (self._seen(before)[0], self._seen(after)[0]):
-            way += self._tool.absolute(x, seen, after.t) - self._tool.absolute(x, seen, before.t)
+            way += self._moving.absolute(x, seen, after.t) - self._moving.absolute(x, seen, before.t)
         return 0.25 * float((forces * way).sum())
 
     def objection(self, state: State) -> str:
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
         title = self._title[0].lower() + self._title[1:]
-        tool, t0 = self._tool, state.clock.before
+        tool, moving, t0 = self._tool, self._moving, state.clock.before
         g, n = self._gap(state)
-        start, end = tool.absolute(self._x, self._slid, t0), tool.absolute(self._x, self._seen(state)[0], state.t)
+        start, end = moving.absolute(self._x, self._slid, t0), moving.absolute(self._x, self._seen(state)[0], state.t)
         through = np.zeros(len(g), dtype=bool)
         for share in np.arange(1, PLACES) / PLACES:
-            u, _ = tool.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
+            u, _ = moving.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
             between, normal, _ = tool.gap(self._x, u)
             through |= (between < -self._allowed) & ((g > 0.0) | ((n * normal).sum(axis=1) < 0.0))
         if largest(self.body.cloud.comm, float(np.count_nonzero(through))) > 0.0:
             return f"{title} passed through the surface in one step"
-        if self._mu > 0.0 and self._tool.angle(state.clock.before, state.t) > TURN:
+        if self._mu > 0.0 and self._moving.angle(state.clock.before, state.t) > TURN:
             return f"{title} turned by more than {TURN:g} rad in one step, too far for friction"
         return ""
 
     def commit(self, state: State) -> None:
         """Store tangential tractions, multipliers and displacements; raise SolveError if the tool is too deep."""
         super().commit(state)
+        self._moving.commit()
         self._slid_end[:] = self._seen(state)[0]
+
+    @property
+    def rigid(self) -> RigidBody | None:
+        """Return the tool if it is loaded (not collective)."""
+        return self._moving if self._tool.loaded else None
+
+    def start_from(self, state: State) -> None:
+        """Continue with tractions and motion at the end of the last step."""
+        self._moving.start_from(state.clock.before, state.t)
+        super().start_from(state)
 
     def _step_from(self, state: State) -> None:
         self._slid[:] = self._slid_end
 
+    def revert_multipliers(self) -> None:
+        """Restore multipliers and motion of the last converged step."""
+        self._moving.revert()
+        super().revert_multipliers()
+
+    def restored(self) -> None:
+        """Continue with multipliers, tractions and motion of a checkpoint."""
+        super().restored()
+        self._moving.restored()
+
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""
-        return {**super().arrays(), f"{self._name}_slid": KeptArray(self._owner, self._slid_end)}
+        found = {**super().arrays(), f"{self._name}_slid": KeptArray(self._owner, self._slid_end)}
+        if self._tool.loaded:
+            found[f"{self._name}_rigid"] = KeptArray(self._owner, self._moving.kept)
+        return found
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return also the motion of a loaded tool, ``NAME_move_x`` [length] and ``NAME_turn`` [rad]."""
+        return {**super().numbers(), **{f"{self._name}_{of}": value for of, value in self._moving.numbers().items()}}
 
     def fields(self) -> Mapping[str, Callable[[State], Float]]:
         """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""

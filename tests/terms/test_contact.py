@@ -288,7 +288,7 @@ def test_a_tool_presses_first_and_slides_then(tmp_path):
     with pytest.raises(pd.CaseError, match="has 1 schedules; give one for all, or 2"):
         pd.prepare(block(dataclasses.replace(tool, schedule=(press,))))
     turning = dataclasses.replace(tool, turn=0.1, about=(0.0, 1.0))
-    with pytest.raises(pd.CaseError, match="or 3: one for each component of move, then one for turn"):
+    with pytest.raises(pd.CaseError, match="or 3: one for each direction, then one for the rotation"):
         pd.prepare(block(turning))
     assert dataclasses.replace(turning, schedule=(slide, press, press)).angle(0.0, 0.5) == pytest.approx(0.1)
     assert dataclasses.replace(turning, schedule=(slide, press, slide)).angle(0.0, 0.5) == 0.0

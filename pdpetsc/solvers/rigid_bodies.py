@@ -1,0 +1,253 @@
+"""Equilibrium of loaded rigid tools and regions with the body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.rigid_body import RigidBody
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+
+# Loads and forces on the body agree if they differ by at most this share of the larger.
+TOLERANCE = 1e-8
+# Singular values below this share of the largest belong to motions that nothing resists.
+FREE = 1e-10
+# Largest number of doublings and halvings of the way to the first touch.
+TRIALS = 60
+
+
+@dataclass
+class _Side:
+    """Store what a rigid body does to the residual at a state.
+
+    Attributes
+    ----------
+    rigid : RigidBody
+        Tool or region.
+    force : (n_rows, dim) float64
+        Its forces on the particles [force].
+    velocities : (n_free, n_rows, dim) float64
+        Motions of the particles with the body.
+    spun : (n_free, n_rows, dim) float64
+        Changes of the forces that turn with the body.
+    tangent : Tangent or None
+        Tangent of the contact of a tool; None for a region.
+    """
+
+    rigid: RigidBody
+    force: Float
+    velocities: Float
+    spun: Float
+    tangent: Tangent | None
+
+    def resultants(self, force: Float) -> Float:
+        """Return force and moment, free components only, of forces on this rank (n_free,)."""
+        return np.asarray(np.einsum("kpi,pi->k", self.velocities, force))
+
+    def column(self, k: int) -> Float:
+        """Return the change of the residual with motion ``k`` of a tool, the body held (n_rows, dim)."""
+        if self.tangent is None:
+            return np.zeros_like(self.force)
+        return np.asarray(-self.tangent(self.velocities[k]) - self.spun[k])
+
+
+class RigidBodies:
+    """Find the motions of loaded tools and regions for which they are in equilibrium.
+
+    Newton's method on the motions alone. With the forces ``f`` of a rigid body on the particles, and the velocities
+    ``W_k`` of the particles with its motion ``k``, resultants ``W_k . f`` balance the loads. Their derivative contains
+    the response of the body, one linear solve for each motion.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    size : float
+        Size of the body [length].
+
+    Attributes
+    ----------
+    objection : str
+        Reason why no motion balances the loads at the last ``moved``; empty for none.
+
+    Notes
+    -----
+    Methods are collective.
+    """
+
+    def __init__(self, problem: Problem, size: float) -> None:
+        self._problem, self._size = problem, size
+        self._terms = [term for term in problem.terms if term.rigid is not None]
+        self.objection = ""
+
+    def moved(self, state: State, answer: Callable[[Float], Float]) -> Float | None:
+        """Move the bodies towards equilibrium with their loads, by one Newton step.
+
+        Parameters
+        ----------
+        state : State
+            An equilibrium of the particles.
+        answer : callable
+            Solves the tangent at the state for forces (n_rows, dim), and returns displacements (n_rows, dim).
+
+        Returns
+        -------
+        (n_rows, dim) float64 or None
+            Unknowns to solve from again [length]; None if the bodies are in equilibrium, or ``objection`` is not empty.
+        """
+        self.objection = ""
+        sides = [self._side(term, state) for term in self._terms]
+        off, size = self._imbalance(sides, state)
+        if np.all(np.abs(off) <= TOLERANCE * size):
+            return None
+        untouched = [i for i, side in enumerate(sides) if not self._touches(side)]
+        if untouched:
+            if not all([self._approach(self._terms[i], state) for i in untouched]):
+                rigid = sides[untouched[0]].rigid
+                self.objection = f"{rigid.title[0].lower()}{rigid.title[1:]} touches nothing that carries its load"
+                return None
+            return state.u.copy()
+        S, ways = self._stiffness(sides, state, answer)
+        scale = np.concatenate([self._lengths(side.rigid) for side in sides])
+        step = np.linalg.lstsq(S * scale[:, None] * scale, off * scale, rcond=FREE)[0] * scale
+        left = np.abs(off - S @ step)
+        if np.any(left > 1e-3 * size):
+            self.objection = "nothing holds a rigid body against its load"
+            return None
+        start = 0
+        for side in sides:
+            n = len(side.velocities)
+            side.rigid.move(step[start : start + n])
+            start += n
+        for term in self._terms:
+            term.version += 1
+        return np.asarray(state.u + np.einsum("k,kpi->pi", step, ways))
+
+    def unstable(self, state: State, answer: Callable[[Float], Float]) -> int:
+        """Return the number of motions along which the loads do more work than the body resists, at an equilibrium.
+
+        With the negative pivots of the tangent at held motions they are the negative pivots of the whole.
+        """
+        sides = [self._side(term, state) for term in self._terms]
+        scale = np.concatenate([self._lengths(side.rigid) for side in sides])
+        S = self._stiffness(sides, state, answer)[0] * scale[:, None] * scale
+        values = np.linalg.eigvalsh(0.5 * (S + S.T))
+        return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
+
+    def _side(self, term: Term, state: State) -> _Side:
+        rigid, problem = term.rigid, self._problem
+        assert rigid is not None
+        cloud = problem.body.cloud
+        n, y = cloud.n_owned, np.zeros_like(state.u)
+        y[:n] = cloud.x[:n] + state.u[:n]
+        velocities = rigid.velocities(y, state.t)
+        velocities[:, n:] = 0.0
+        if rigid.rows is not None:
+            velocities[:, ~rigid.rows] = 0.0
+            inner = problem.internal_force(state)
+            assert inner is not None
+            force = np.where(rigid.rows[:, None], inner - problem.external_force(state), 0.0)
+            return _Side(rigid, force, velocities, rigid.spun(force), None)
+        force = -problem.force_of([term], state)
+        tangent = Tangent(problem.body, term.linearise(state))
+        return _Side(rigid, force, velocities, rigid.spun(force), tangent)
+
+    def _touches(self, side: _Side) -> bool:
+        """Return True if a body has forces on the particles, or is a region."""
+        found = float(total(self._problem.body.cloud.comm, float((side.force**2).sum())))
+        return side.rigid.rows is not None or found > 0.0
+
+    def _imbalance(self, sides: Sequence[_Side], state: State) -> tuple[Float, Float]:
+        """Return loads less resultants, and what they are compared with (n_motions,)."""
+        comm = self._problem.body.cloud.comm
+        found = total(comm, np.concatenate([side.resultants(side.force) for side in sides]))
+        most = total(comm, [float(np.abs(side.force).sum()) for side in sides])
+        load, size = [], []
+        for side, forces in zip(sides, most, strict=True):
+            load.append(side.rigid.load(state.t))
+            arm = 1.0 / self._lengths(side.rigid)
+            size.append(np.maximum(forces, np.max(np.abs(load[-1]) / arm, initial=0.0)) * arm)
+        return np.concatenate(load) - found, np.concatenate(size)
+
+    def _lengths(self, rigid: RigidBody) -> Float:
+        """Return 1 for displacements, and the angle that moves the size of the body by 1 for rotations (n_free,)."""
+        dim = self._problem.dim
+        return np.where(np.arange(len(rigid.free)) < dim, 1.0, 1.0 / self._size)[rigid.free]
+
+    def _stiffness(self, sides: Sequence[_Side], state: State, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
+        """Return the derivative of the resultants by the motions, and the ways of the particles for each motion."""
+        problem = self._problem
+        supports, tangent = problem.supports, problem.linearised(state)
+        ways, columns = [], []
+        for own in sides:
+            for k, carried in enumerate(own.velocities):
+                shift = carried if own.rigid.rows is not None else np.zeros_like(carried)
+                held = own.column(k)
+                du = supports.completed(answer(-supports.reduced(tangent(shift) + held))) + shift
+                change = tangent(du) + held
+                found = []
+                for side in sides:
+                    if side.tangent is None:
+                        rows = side.rigid.rows
+                        assert rows is not None
+                        df = np.where(rows[:, None], change, 0.0)
+                    else:
+                        df = -side.tangent(du) - (held if side is own else 0.0)
+                    # The arms of moments change with the displacement relative to the point of the load.
+                    moved = du.copy()
+                    if side is own and k < np.count_nonzero(side.rigid.free[: problem.dim]):
+                        moved -= carried
+                    arms = np.concatenate([np.zeros((problem.dim, *moved.shape)), side.rigid.turned(moved)])
+                    found.append(side.resultants(df) + np.einsum("kpi,pi->k", arms[side.rigid.free], side.force))
+                ways.append(du)
+                columns.append(np.concatenate(found))
+        S = np.stack([total(problem.body.cloud.comm, column) for column in columns], axis=1)
+        return S, np.stack(ways)
+
+    def _approach(self, term: Term, state: State) -> bool:
+        """Move a tool that touches nothing along its force until the body, held in place, carries it.
+
+        Return True if it does.
+        """
+        rigid, problem = term.rigid, self._problem
+        assert rigid is not None
+        n_moves = np.count_nonzero(rigid.free[: problem.dim])
+        load = rigid.load(state.t)
+        along = np.where(np.arange(len(load)) < n_moves, load, 0.0)
+        size = float(np.linalg.norm(along))
+        if size == 0.0:
+            return False
+        along /= size
+
+        def carried(by: float) -> float:
+            rigid.move(by * along)
+            term.version += 1
+            at = problem.state(state.u, state.t)
+            force = -problem.force_of([term], at)
+            n, y = problem.body.cloud.n_owned, np.zeros_like(state.u)
+            y[:n] = problem.body.cloud.x[:n] + state.u[:n]
+            velocities = rigid.velocities(y, state.t)
+            rigid.move(-by * along)
+            return float(total(problem.body.cloud.comm, np.einsum("kpi,pi->k", velocities, force)) @ along)
+
+        low, high = 0.0, 1e-6 * self._size
+        while carried(high) < size:
+            low, high = high, 2.0 * high
+            if high > 2.0 * self._size:
+                rigid.move(0.0 * along)
+                term.version += 1
+                return False
+        for _ in range(TRIALS):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if carried(middle) >= size else (middle, high)
+            if high - low <= 1e-9 * high:
+                break
+        rigid.move(high * along)
+        term.version += 1
+        return True

@@ -1,0 +1,55 @@
+"""A region that moves as a rigid body under a load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pdpetsc.arrays import LocalIndex
+from pdpetsc.gradient.products import Product
+from pdpetsc.problem.rigid_body import RigidBody
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray, Term
+
+
+class LoadedRegion(Term):
+    """Hold the motion of a rigid region that follows from its load; the supports move its particles.
+
+    Parameters
+    ----------
+    rigid : RigidBody
+        The region.
+    owner : (n,) int32
+        Its own particles.
+    """
+
+    def __init__(self, rigid: RigidBody, owner: LocalIndex) -> None:
+        self._rigid, self._owner = rigid, owner
+
+    @property
+    def rigid(self) -> RigidBody:
+        """Return the region (not collective)."""
+        return self._rigid
+
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return an empty list: the term has no forces."""
+        return []
+
+    def start_from(self, state: State) -> None:
+        """Continue with the motion at the end of the last step."""
+        self._rigid.start_from(state.clock.before, state.t)
+
+    def revert_multipliers(self) -> None:
+        """Return to the motion of the last converged step."""
+        self._rigid.revert()
+
+    def commit(self, state: State) -> None:
+        """Keep the motion of a converged step."""
+        self._rigid.commit()
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return the motion at the last converged step."""
+        return {"rigid": KeptArray(self._owner, self._rigid.kept)}
+
+    def restored(self) -> None:
+        """Continue with the motion of a checkpoint."""
+        self._rigid.restored()

@@ -1,0 +1,304 @@
+"""Rigid tools and regions in equilibrium with forces and moments."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy
+
+import pdpetsc as pd
+from pdpetsc.solvers.rigid_bodies import RigidBodies
+from tests.commands import results
+
+E = 1000.0
+DISC = (1.0, 3.0)
+
+
+def pressed(tool, friction=0.0, unit=1.0, modulus=E, steps=3, **changes):
+    """Return a block of 2 x 1 that is held below and pressed by a tool from above."""
+    given = {
+        "particles": pd.LatticeNodes((0.0, 0.0), (2.0 * unit, unit), 0.125 * unit),
+        "material": pd.Hencky(modulus, 0.3),
+        "conditions": [pd.Clamp("-y"), pd.Contact("+y", tool, friction, name="tool")],
+        "steps": steps if isinstance(steps, pd.Steps) else pd.Steps(steps),
+        "history": {"x": pd.Reaction("x", "-y"), "y": pd.Reaction("y", "-y"), "m": pd.ReactionMoment("-y", (0.0, 0.0))},
+    }
+    return pd.Case(**{**given, **changes})
+
+
+def disc(unit=1.0, gap=0.0, **given):
+    return pd.RigidSphere((unit, (3.0 + gap) * unit), 2.0 * unit, **given)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.3])
+def test_a_tool_finds_the_place_at_which_it_has_its_force(gap, tmp_path):
+    """Where a prescribed tool has this force; also a tool that begins at a distance."""
+    loaded = pd.run(pressed(disc(gap=gap, force=(None, -20.0))), tmp_path / "loaded").history
+    assert loaded["tool_y"] == pytest.approx([0.0, -20.0 / 3.0, -40.0 / 3.0, -20.0], rel=1e-7)
+    assert loaded["y"][-1] == pytest.approx(20.0, rel=1e-7)
+    assert loaded["tool_move_y"][-1] < -gap - 0.01
+    moved = disc(gap=gap, move=(0.0, loaded["tool_move_y"][-1]))
+    assert pd.run(pressed(moved), tmp_path / "moved").history["tool_y"][-1] == pytest.approx(-20.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_forces_and_moments_on_tools_arrive_at_the_support(friction, tmp_path):
+    """Balance of the whole body in the deformed state: the support has the opposite force and moment."""
+    plate = pd.RigidPlane((1.0, 1.0), (0.0, -1.0), force=(None, -20.0), moment=2.0, about=(1.0, 1.0))
+    stuck = disc(force=(None, -20.0), moment=3.0, about=DISC)
+    for name, tool in (("plate", plate), ("disc", stuck)):
+        if name == "disc" and not friction:
+            continue
+        found = pd.run(pressed(tool, friction), tmp_path / name).history
+        d = np.array([found["tool_move_x"][-1], found["tool_move_y"][-1]])
+        about = np.asarray(tool.about) + d
+        force = np.array([found["tool_x"][-1], found["tool_y"][-1]])
+        moment = about[0] * force[1] - about[1] * force[0] + tool.moment
+        assert found["y"][-1] == pytest.approx(20.0, rel=1e-7)
+        assert found["m"][-1] == pytest.approx(-moment, rel=1e-6)
+        assert abs(found["tool_turn"][-1]) > 1e-4
+
+
+def test_a_tool_pressed_by_its_force_slides_as_prescribed(tmp_path):
+    """One direction has a force, the other one a motion: at the end the block slides with the coefficient."""
+    ways = pd.Table((0.0, 0.5, 1.0), (0.0, 0.0, 1.0)), pd.Table((0.0, 0.5, 1.0), (0.0, 1.0, 1.0))
+    tool = disc(force=(None, -20.0), move=(0.1, 0.0), schedule=ways)
+    found = pd.run(pressed(tool, 0.2, steps=8), tmp_path).history
+    assert found["tool_y"][4:] == pytest.approx([-20.0] * 5, rel=1e-7)
+    assert found["tool_x"][-1] == pytest.approx(0.2 * 20.0, rel=0.05)
+
+
+def strip(region, nodes=None, steps=4, **changes):
+    """Return a strip of 4 x 1 that is clamped at its left side."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25) if nodes is None else nodes
+    history = {name: pd.Mean(pd.displacement, name, "+x") for name in "xyz"[: len(nodes.low)]}
+    given = {"material": pd.Hencky(E, 0.0), "conditions": [pd.Clamp("-x"), region], "steps": pd.Steps(steps)}
+    return pd.Case(nodes, **{**given, "history": history, **changes})
+
+
+def test_a_moment_bends_a_strip_to_an_arc(tmp_path):
+    """Pure bending of a beam of Hencky material without axial force, with stretches e + k y."""
+    y, w = np.polynomial.legendre.leggauss(20)
+    y, w = 0.5 * y, 0.5 * w
+
+    def resultants(e, k):
+        P = E * np.log(e + k * y) / (e + k * y)
+        return w @ P, w @ (P * y)
+
+    moment = 0.2 * E / 12.0
+    e, k = scipy.optimize.fsolve(lambda ek: np.subtract(resultants(*ek), (0.0, moment)), (1.0, 0.2))
+    end = e * np.array([np.sin(4.0 * k), 1.0 - np.cos(4.0 * k)]) / k - (4.0, 0.0)
+    region = pd.RigidRegion("+x", force=(0.0, 0.0), moment=moment, about=(4.0, 0.5))
+    off = []
+    for spacing in (0.25, 0.125):
+        nodes = pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), spacing)
+        run = pd.run(strip(region, nodes, material=pd.Hencky(E, 0.0, plane="stress")), tmp_path / f"{spacing}")
+        off.append(np.abs([run.history[axis][-1] for axis in "xy"] / end - 1.0).max())
+    assert off[1] < 0.02
+    assert off[1] < 0.35 * off[0]
+
+
+@pytest.mark.parametrize("kind", ["plane", "space"])
+def test_a_region_moves_where_its_loads_are_its_reactions(kind, tmp_path):
+    """With large rotations: the motion that was found, prescribed, has the loads as reactions."""
+    if kind == "plane":
+        nodes, about, force, moment = None, (4.0, 0.5), (3.0, 2.0), 10.0
+        names = ["turn"]
+    else:
+        nodes, about = pd.LatticeNodes((0.0, 0.0, 0.0), (3.0, 1.0, 1.0), 0.5), (3.0, 0.5, 0.5)
+        force, moment, names = (3.0, 4.0, -2.0), (40.0, 10.0, -20.0), ["turn_x", "turn_y", "turn_z"]
+    region = pd.RigidRegion("+x", force=force, moment=moment, about=about)
+    problem = pd.prepare(strip(region, nodes))
+    rigid = next(term.rigid for term in problem.problem.terms if term.rigid is not None)
+    assert [name.split("_")[0] for name in rigid.numbers()] == ["move"] * len(force) + ["turn"] * len(names)
+    found = {}
+
+    class Motion(pd.Quantity):
+        def evaluate(self, solution):
+            term = next(one for one in solution.problem.terms if one.rigid is not None)
+            found.update({name: value(solution.state) for name, value in term.rigid.numbers().items()})
+            return 0.0
+
+    pd.run(strip(region, nodes, history={"motion": Motion()}), tmp_path / "loaded")
+    turn = [found[name] for name in names]
+    assert np.linalg.norm(turn) > 0.3
+    again = pd.RigidRegion(
+        "+x", move=[found[f"move_{axis}"] for axis in "xyz"[: len(force)]],
+        turn=turn[0] if kind == "plane" else turn, about=about,
+    )  # fmt: skip
+    centre = np.asarray(about) + again.move
+    history = {axis: pd.Reaction(axis, "+x") for axis in "xyz"[: len(force)]}
+    if kind == "plane":
+        history["m"] = pd.ReactionMoment("+x", tuple(centre))
+    else:
+        history |= {f"m{axis}": pd.ReactionMoment("+x", tuple(centre), axis) for axis in "xyz"}
+    reactions = pd.run(strip(again, nodes, history=history), tmp_path / "moved").history
+    expected = [*force, *np.ravel(moment)]
+    assert [reactions[name][-1] for name in history] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_the_stiffness_of_motions_is_the_derivative_of_the_resultants(friction, rng):
+    """Of a region and a tool together; the particles respond by their tangent."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25)
+    tool = disc(force=(2.0, -20.0), moment=1.0, about=DISC)
+    right = pd.RigidRegion("+x", force=(1.0, 2.0), moment=0.5, about=(2.0, 0.5))
+    conditions = [pd.Clamp("-x"), right, pd.Contact(pd.region.Box((0.1, 0.9), (1.9, 1.1)), tool, friction)]
+    prepared = pd.prepare(pressed(tool, particles=nodes, conditions=conditions, history={}))
+    problem, t = prepared.problem, 1.0
+    bodies = RigidBodies(problem, 2.0)
+    terms = [term for term in problem.terms if term.rigid is not None]
+    u = 0.002 * rng.standard_normal((prepared.cloud.n_rows, 2))
+    region, contact = (next(one for one in terms if (one.rigid.rows is None) is tool) for tool in (False, True))
+    region.rigid.move(np.array([0.01, -0.02, 0.1]))
+    contact.rigid.move(np.array([0.003, -0.03, 0.002]))
+    contact.version += 1
+    free = ~problem.supports.fixed
+    ways = 0.1 * rng.standard_normal((6, *u.shape)) * free
+
+    def resultants(step, u):
+        order = [term.rigid for term in terms]
+        for rigid, by in zip(order, np.split(step, 2), strict=True):
+            rigid.move(by)
+        contact.version += 1
+        state = problem.state(problem.supports.completed(u, problem.supports.prescribed(t)), t)
+        sides = [bodies._side(term, state) for term in terms]
+        return np.concatenate([side.resultants(side.force) for side in sides])
+
+    state = problem.state(problem.supports.completed(u, problem.supports.prescribed(t)), t)
+    answers = iter(ways)
+    S, found = bodies._stiffness([bodies._side(term, state) for term in terms], state, lambda force: next(answers))
+    kept = [(term.rigid._d.copy(), term.rigid._R.copy()) for term in terms]
+    h = 1e-6
+    for k in range(6):
+        values = []
+        for sign in (1.0, -1.0):
+            for term, (d, R) in zip(terms, kept, strict=True):
+                term.rigid._d[:], term.rigid._R[:] = d, R
+            values.append(resultants(sign * h * np.eye(6)[k], u + sign * h * ways[k]))
+        column = (values[0] - values[1]) / (2.0 * h)
+        np.testing.assert_allclose(S[:, k], column, rtol=1e-6, atol=1e-6 * np.abs(S).max())
+        assert np.all(found[k][free] == ways[k][free])
+
+
+CASE = """
+import pdpetsc as pd
+
+def case(unit=1.0, modulus=1000.0):
+    force = modulus * unit * 1e-3
+    tool = pd.RigidSphere(
+        (unit, 3.0 * unit), 2.0 * unit, force=(None, -20.0 * force), moment=3.0 * force * unit, about=(unit, 3.0 * unit)
+    )
+    side = pd.RigidRegion("+x", force=(force, 0.0), moment=0.2 * force * unit, about=(2.0 * unit, 0.5 * unit))
+    names = ("tool_move_x", "tool_move_y")
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0 * unit, unit), 0.125 * unit),
+        material=pd.Hencky(modulus, 0.3),
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, 0.5, name="tool"), side],
+        steps=pd.Steps(2),
+        history={"right": pd.Mean(pd.displacement, "x", "+x"), "up": pd.Mean(pd.displacement, "y", "+x")},
+        results=lambda h: {
+            "turn": h["tool_turn"][-1],
+            **{name: h[name][-1] / unit for name in ("tool_move_x", "tool_move_y", "right", "up")},
+        },
+    )
+"""
+
+
+def test_ranks_and_units_change_nothing(tmp_path):
+    path = tmp_path / "case.py"
+    path.write_text(CASE.replace('pd.Clamp("-y")', "pd.Displacement(pd.region.Slab('y', high=0.01 * unit), x=0, y=0)"))
+    text = path.read_text().replace(
+        '"+x", force', "pd.region.Box((2.0 * unit, 0.1 * unit), (2.1 * unit, 2 * unit)), force"
+    )
+    path.write_text(text)
+    one = results(path, output=tmp_path / "one")["results"]
+    assert abs(one["turn"]) > 1e-4
+    runs = {
+        "two": ([], 2),
+        "three": ([], 3),
+        "free": (["-pd_jacobian", "matfree"], 1),
+        "small": (["unit=1e-9", "modulus=1e6"], 1),
+        "large": (["unit=1e6", "modulus=1e-9"], 1),
+    }
+    for name, (words, ranks) in runs.items():
+        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=2e-6, abs=1e-10)
+
+
+def test_a_run_with_loaded_bodies_is_resumed(tmp_path):
+    tool = disc(force=(None, -20.0), moment=3.0, about=DISC)
+    side = pd.RigidRegion(pd.region.Box((1.99, 0.1), (2.1, 2.0)), force=(1.0, 0.0), moment=0.2, about=(2.0, 0.5))
+    conditions = [
+        pd.Displacement(pd.region.Slab("y", high=0.01), x=0.0, y=0.0),
+        side,
+        pd.Contact("+y", tool, 0.5, name="tool"),
+    ]
+    whole = pd.run(pressed(tool, conditions=conditions, steps=4), tmp_path / "whole").history
+
+    class Stopping(pd.Quantity):
+        def evaluate(self, solution):
+            if solution.t > 0.6:
+                raise pd.SolveError("It stops here.")
+            return 0.0
+
+    case = pressed(tool, conditions=conditions, steps=4)
+    with pytest.raises(pd.SolveError):
+        pd.run(
+            pressed(tool, conditions=conditions, steps=4, history={**case.history, "stop": Stopping()}),
+            tmp_path / "half",
+        )
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half").history
+    for name in ("tool_move_x", "tool_move_y", "tool_turn", "x", "y"):
+        assert again[name][-1] == pytest.approx(whole[name][-1], rel=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_column_under_a_free_end_is_unstable_above_its_load(share, tmp_path):
+    """A rigid cap that may move sideways and turn: Euler's load of a column with a free end."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (10.0, 1.0), 0.25)
+    euler = np.pi**2 * E / 12.0 / (4.0 * 10.0**2)
+    cap = pd.RigidRegion("+x", force=(-share * euler, 0.0), moment=0.0, about=(10.0, 0.5))
+    case = strip(cap, nodes, steps=1, material=pd.Hencky(E, 0.0, plane="stress"))
+    pd.run(case, tmp_path)
+    (step,) = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    assert step["negative_pivots"] == (share > 1.0)
+
+
+def test_what_has_no_equilibrium_is_refused(tmp_path):
+    with pytest.raises(pd.SolveError, match="touches nothing that carries its load"):
+        pd.run(pressed(disc(force=(None, 20.0)), steps=1), tmp_path / "away")
+    with pytest.raises(pd.SolveError, match=r"nothing holds a rigid body|touches nothing"):
+        pd.run(pressed(disc(force=(1.0, -20.0)), steps=1), tmp_path / "off")
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({"force": (0.0, -1.0), "move": (0.0, -1.0)}, "has a motion and a force in y"),
+        ({"moment": 1.0, "turn": 1.0, "about": DISC}, "has a turn and a moment"),
+        ({"moment": 1.0}, "turns about a point of 2 numbers, not 0"),
+        ({"moment": (1.0, 0.0, 0.0), "about": DISC}, "is turned by 3 numbers in 2 dimensions; give a moment"),
+        ({"force": (1.0,)}, "is pushed by 1 numbers in 2 dimensions"),
+        ({"force": (1.0, 0.0), "schedule": (pd.Ramp(),)}, "has 1 schedules; give one for all, or 2"),
+    ],
+)
+def test_loads_that_conflict_are_refused(given, match):
+    with pytest.raises(pd.CaseError, match=match):
+        pd.prepare(pressed(disc(**given)))
+
+
+def test_solvers_that_do_not_move_tools_refuse_loads(tmp_path):
+    tool = disc(force=(None, -20.0))
+    material = pd.Hencky(E, 0.3, density=1.0)
+    solvers = {
+        "moves": [pd.Explicit(end=1.0), pd.Implicit(dt=0.1, end=1.0)],
+        "finds": [pd.DynamicRelaxation(), pd.SnapThrough(dt=0.1, end=1.0)],
+    }
+    for kind, some in solvers.items():
+        for solver in some:
+            steps = pd.Steps() if kind == "moves" else pd.Steps(2)
+            with pytest.raises(pd.CaseError, match=r"has a load, and .* does not find its motion"):
+                pd.run(pressed(tool, material=material, solver=solver, steps=steps), tmp_path)
+    with pytest.raises(pd.CaseError, match="do not go with one whose motion follows from a load"):
+        pd.run(pressed(tool, modes=pd.Modes(2)), tmp_path)

@@ -112,6 +112,14 @@ class RigidMotion(Declared):
         found = [float(evaluated(what, one, (), t, t)) for one in self.schedule]
         return found if self.turns else [*found, 0.0]
 
+    def masses(self, dim: int) -> Float | None:
+        """Return mass and moment of inertia by component (dim + rotations,); None for a body without mass."""
+        return None
+
+    def velocities(self, dim: int) -> Float:
+        """Return the initial velocity by component (dim + rotations,) [length / time], [1 / time]."""
+        return np.zeros(dim + ROTATIONS[dim])
+
     def angle(self, before: float, t: float) -> float:
         """Compute the angle of the prescribed rotation between two load parameters [rad]."""
         return float(np.linalg.norm(np.ravel(self.turn))) * abs(self._factors(t)[-1] - self._factors(before)[-1])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Condition
-from pdpetsc.declare.motion import RigidMotion
+from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
@@ -25,13 +25,51 @@ class RigidTool(RigidMotion, ABC):
     ----------
     move, turn, about, force, moment, schedule
         Its motion, as for ``RigidMotion``.
+    mass : float, optional
+        Its mass, for a tool with ``force`` in a motion (``Implicit``, ``Explicit``) [mass].
+    inertia : float, optional
+        Its moment of inertia about ``about``, its centre of mass, for a tool with ``moment`` in a motion; in space the
+        same about all axes [mass length^2].
+    velocity : sequence of float, optional
+        Initial velocity of the directions with a force (dim,) [length / time]; 0 by default.
 
     Examples
     --------
     >>> import pdpetsc as pd
+    >>> dropped = pd.RigidSphere((0.0, 5.0), 1.0, force=(0.0, -9.81), mass=1.0, velocity=(0.0, -3.0))
     >>> isinstance(pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), pd.RigidTool)
     True
     """
+
+    mass: Positive | None = field(default=None, kw_only=True)
+    inertia: Positive | None = field(default=None, kw_only=True)
+    velocity: Sequence[float] = field(default=(), kw_only=True)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if vectors have another number of components than ``dim``, or the mass lacks its load."""
+        super().check(dim)
+        if len(self.velocity) not in (0, dim):
+            raise CaseError(f"{type(self).__name__} has a velocity of {len(self.velocity)} numbers; give {dim}.")
+        free = [component is not None for component in self.force] or [False] * dim
+        if any(v != 0.0 and not follows for v, follows in zip(self.velocity, free, strict=False)):
+            raise CaseError(
+                f"{type(self).__name__} has a velocity in a direction without force. Give a force there, such as 0, or "
+                f"prescribe the motion with move."
+            )
+
+    def masses(self, dim: int) -> Float | None:
+        """Return mass and moment of inertia by component (dim + rotations,); None unless every load has its mass."""
+        pushed = any(component is not None for component in self.force)
+        if (pushed and self.mass is None) or (self.twisted and self.inertia is None):
+            return None
+        return np.array([self.mass or 1.0] * dim + [self.inertia or 1.0] * ROTATIONS[dim])
+
+    def velocities(self, dim: int) -> Float:
+        """Return the initial velocity by component (dim + rotations,) [length / time], [1 / time]."""
+        found = super().velocities(dim)
+        if len(self.velocity):
+            found[:dim] = self.velocity
+        return found
 
     @abstractmethod
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
@@ -75,6 +113,8 @@ class RigidPlane(RigidTool):
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
+    mass, inertia, velocity
+        As for ``RigidTool``.
 
     Examples
     --------
@@ -113,6 +153,8 @@ class RigidBox(RigidTool):
         Radius of its edges and corners [length]; 0 by default.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
+    mass, inertia, velocity
+        As for ``RigidTool``.
 
     Examples
     --------
@@ -166,6 +208,8 @@ class RigidSphere(RigidTool):
         If True, the body is inside of the ball.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
+    mass, inertia, velocity
+        As for ``RigidTool``.
 
     Examples
     --------
@@ -203,6 +247,8 @@ class RigidCylinder(RigidTool):
         If True, the body is inside of the cylinder.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
+    mass, inertia, velocity
+        As for ``RigidTool``.
 
     Examples
     --------

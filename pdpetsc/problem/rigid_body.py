@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.discrete.communicator import Comm
+from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.state import State
 
 
@@ -38,8 +39,10 @@ class RigidBody:
     ----------
     free : (dim + n_rotations,) bool
         Components of displacement and rotation that follow from the load.
-    kept : (n, dim + 9) float64
-        Displacement and rotation of the last converged step for a restart, the same for each owner.
+    masses : (dim + n_rotations,) float64 or None
+        Mass and moment of inertia by component; None for a body without mass.
+    kept : (n, n_kept) float64
+        Displacement, rotation and rates of the last converged step for a restart, the same for each owner.
     """
 
     def __init__(
@@ -52,6 +55,12 @@ class RigidBody:
         self._about = np.asarray(declared.about, dtype=float) if declared.turns else np.zeros(dim)
         # Displacement and rotation at the start of the step and now; for each owner those of the last converged step.
         self._d, self._R = np.zeros((2, dim)), np.stack([np.eye(3), np.eye(3)])
+        self.masses = declared.masses(dim)
+        # Velocity, acceleration, and the forces of the body less the load, by component, at both ends of the step; the
+        # velocity in its middle.
+        self._rates = np.zeros((3, len(self.free)))
+        self._rates[0] = np.where(self.free, declared.velocities(dim), 0.0)
+        self._ended_rates, self._half = self._rates.copy(), self._rates[0]
         self.kept = np.tile(self._both, (len(owner), 1))
         self._span = (0.0, 0.0)
         self._ended = self._restored = False
@@ -62,7 +71,7 @@ class RigidBody:
         if not self.free.any():
             return R, d
         begin, end = self._span
-        share = 1.0 if t >= end else max(0.0, (t - begin) / (end - begin))
+        share = 0.0 if t <= begin else 1.0 if t >= end else (t - begin) / (end - begin)
         start, now = self._d
         d = np.where(self.free[: self._dim], start + share * (now - start), d)
         if self.declared.twisted:
@@ -73,11 +82,12 @@ class RigidBody:
 
     @property
     def _both(self) -> Float:
-        """Return displacement and rotation now, in one row."""
-        return np.concatenate([self._d[1], self._R[1].ravel()])
+        """Return displacement, rotation and rates at the end of the step, in one row."""
+        return np.concatenate([self._d[1], self._R[1].ravel(), self._ended_rates.ravel()])
 
     def _take(self, both: Float) -> None:
-        self._d[1], self._R[1] = both[: self._dim], both[self._dim :].reshape(3, 3)
+        d, R, rates = np.split(both, (self._dim, self._dim + 9))
+        self._d[1], self._R[1], self._ended_rates = d, R.reshape(3, 3), rates.reshape(3, -1)
 
     def angle(self, before: float, t: float) -> float:
         """Return the angle of the rotation between two load parameters [rad]; of a load at most half a turn."""
@@ -142,13 +152,61 @@ class RigidBody:
             self._take(next(both for both in read if both is not None))
             self._restored, self._ended = False, True
         if self._ended:
-            self._d[0], self._R[0], self._ended = self._d[1], self._R[1], False
+            self._d[0], self._R[0], self._rates, self._ended = self._d[1], self._R[1], self._ended_rates.copy(), False
         self._span = (begin, end)
 
     def revert(self) -> None:
         """Return to the last converged step (not collective)."""
         if not self._ended:
             self._d[1], self._R[1] = self._d[0], self._R[0]
+
+    def begin(self, unbalanced: Float) -> None:
+        """Set the acceleration at the start of a motion from the loads that nothing balances (n_free,)."""
+        self._rates[2, self.free] = -unbalanced
+        self._rates[1] = -self._rates[2] / self._mass
+        self._ended_rates = self._rates.copy()
+
+    def fly(self, t: float, dt: float) -> None:
+        """Move by a time step of central differences from load parameter ``t``, with the acceleration there."""
+        self._span = (t, t)
+        self._half = self._rates[0] + 0.5 * dt * self._rates[1]
+        self.move(dt * self._half[self.free])
+
+    def land(self, unbalanced: Float, dt: float) -> None:
+        """Set the rates at the end of a time step of central differences from the loads that nothing balances there."""
+        found = np.zeros_like(self._rates)
+        found[2, self.free] = -unbalanced
+        found[1] = -found[2] / self._mass
+        found[0] = self._half + 0.5 * dt * found[1]
+        self._ended_rates = found
+
+    def accelerate(self, blend: Blend, dt: float) -> Float:
+        """Set the rates at the end of a generalised-alpha step from the motion; return its inertia (n_free,) [force].
+
+        The inertia is that of ``Inertia``: with the load and the forces of the body at the end of the step it is zero.
+        """
+        v, a, s = self._rates
+        turned = _vector(self._R[1] @ self._R[0].T)[3 - ROTATIONS[self._dim] :]
+        moved = np.concatenate([self._d[1] - self._d[0], turned])
+        later = (moved - dt * v) / (blend.beta * dt**2) - (0.5 / blend.beta - 1.0) * a
+        later = np.where(self.free, later, 0.0)
+        force = self._mass * ((1.0 - blend.alpha_m) * later + blend.alpha_m * a) + blend.alpha_f * s
+        force /= 1.0 - blend.alpha_f
+        self._ended_rates = np.stack([v + dt * ((1.0 - blend.gamma) * a + blend.gamma * later), later, -force])
+        return np.asarray(force[self.free])
+
+    def mass_in_step(self, blend: Blend, dt: float) -> Float:
+        """Return the derivative of the inertia of ``accelerate`` by the motion (n_free,)."""
+        return np.asarray((1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2) * self._mass[self.free])
+
+    def stopping(self, dt: float) -> Float:
+        """Return the forces that would stop the body within a time step (n_free,)."""
+        return np.asarray(np.abs(self._mass * self._ended_rates[0])[self.free] / dt)
+
+    @property
+    def _mass(self) -> Float:
+        assert self.masses is not None
+        return self.masses
 
     def commit(self) -> None:
         """Keep the motion of a converged step (not collective)."""
@@ -162,7 +220,7 @@ class RigidBody:
         self._restored = True
 
     def numbers(self) -> dict[str, Callable[[State], float]]:
-        """Return displacement and rotation vector of a loaded body for the history, on the first rank.
+        """Return displacement, rotation vector and, of a body with mass, rates for the history, on the first rank.
 
         Not collective.
         """
@@ -175,10 +233,19 @@ class RigidBody:
 
             return value
 
+        def rate(number: int) -> Callable[[State], float]:
+            return lambda state: float(self._ended_rates[0, number]) if self._comm.rank == 0 else 0.0
+
+        if not self.free.any():
+            return {}
         names = [f"move_{axis}" for axis in "xyz"[: self._dim]]
+        rates = [] if self.masses is None else [f"velocity_{axis}" for axis in "xyz"[: self._dim]]
         if self.declared.twisted:
             names += ["turn"] if self._dim == 2 else [f"turn_{axis}" for axis in "xyz"]
-        return {name: component(number) for number, name in enumerate(names)} if self.free.any() else {}
+            if rates:
+                rates += ["spin"] if self._dim == 2 else [f"spin_{axis}" for axis in "xyz"]
+        found = {name: component(number) for number, name in enumerate(names)}
+        return {**found, **{name: rate(number) for number, name in enumerate(rates)}}
 
 
 def _vector(R: Float) -> Float:

@@ -84,7 +84,13 @@ class RigidBodies:
     def __init__(self, problem: Problem, size: float) -> None:
         self._problem, self._size = problem, size
         self._terms = [term for term in problem.terms if term.rigid is not None]
+        self._inertia = problem.inertia
         self.objection = ""
+
+    @classmethod
+    def of(cls, problem: Problem, size: float = 1.0) -> RigidBodies | None:
+        """Return the loaded rigid bodies of a problem; None if there are none."""
+        return cls(problem, size) if any(term.rigid is not None for term in problem.terms) else None
 
     def moved(self, state: State, answer: Callable[[Float], Float]) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
@@ -106,7 +112,7 @@ class RigidBodies:
         off, size = self._imbalance(sides, state)
         if np.all(np.abs(off) <= TOLERANCE * size):
             return None
-        untouched = [i for i, side in enumerate(sides) if not self._touches(side)]
+        untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
         if untouched:
             if not all([self._approach(self._terms[i], state) for i in untouched]):
                 rigid = sides[untouched[0]].rigid
@@ -168,12 +174,16 @@ class RigidBodies:
         comm = self._problem.body.cloud.comm
         found = total(comm, np.concatenate([side.resultants(side.force) for side in sides]))
         most = total(comm, [float(np.abs(side.force).sum()) for side in sides])
-        load, size = [], []
+        loads, sizes, dt = [], [], state.clock.dt
         for side, forces in zip(sides, most, strict=True):
-            load.append(side.rigid.load(state.t))
-            arm = 1.0 / self._lengths(side.rigid)
-            size.append(np.maximum(forces, np.max(np.abs(load[-1]) / arm, initial=0.0)) * arm)
-        return np.concatenate(load) - found, np.concatenate(size)
+            load, arm = side.rigid.load(state.t), 1.0 / self._lengths(side.rigid)
+            size = max(float(forces), float(np.max(np.abs(load) / arm, initial=0.0)))
+            if dt > 0.0 and self._inertia is not None:
+                load = load - side.rigid.accelerate(self._inertia.blend, dt)
+                size = max(size, float(np.max(side.rigid.stopping(dt) / arm, initial=0.0)))
+            loads.append(load)
+            sizes.append(size * arm)
+        return np.concatenate(loads) - found, np.concatenate(sizes)
 
     def _lengths(self, rigid: RigidBody) -> Float:
         """Return 1 for displacements, and the angle that moves the size of the body by 1 for rotations (n_free,)."""
@@ -208,7 +218,52 @@ class RigidBodies:
                 ways.append(du)
                 columns.append(np.concatenate(found))
         S = np.stack([total(problem.body.cloud.comm, column) for column in columns], axis=1)
+        if self._inertia is not None and state.clock.dt > 0.0:
+            blend = self._inertia.blend
+            S += np.diag(np.concatenate([side.rigid.mass_in_step(blend, state.clock.dt) for side in sides]))
         return S, np.stack(ways)
+
+    def unbalanced(self, state: State) -> list[Float]:
+        """Return for each body the loads that its forces on the particles do not balance (n_free,)."""
+        comm, found = self._problem.body.cloud.comm, []
+        for term in self._terms:
+            side = self._side(term, state)
+            found.append(side.rigid.load(state.t) - total(comm, side.resultants(side.force)))
+        return found
+
+    def begin(self, state: State) -> None:
+        """Set the accelerations at the start of a motion."""
+        for term, off in zip(self._terms, self.unbalanced(state), strict=True):
+            assert term.rigid is not None
+            term.rigid.begin(off)
+
+    def fly(self, dt: float) -> None:
+        """Move by a time step of central differences from the last converged step."""
+        for term in self._terms:
+            assert term.rigid is not None
+            term.rigid.fly(self._problem.converged, dt)
+
+    def land(self, state: State, dt: float) -> None:
+        """Set the rates at the end of a time step of central differences."""
+        for term, off in zip(self._terms, self.unbalanced(state), strict=True):
+            assert term.rigid is not None
+            term.rigid.land(off, dt)
+
+    def frequency_squared(self, state: State) -> float:
+        """Return a bound on what the motions add to the largest squared frequency of the body [1 / time^2].
+
+        The largest eigenvalue of a positive matrix is at most the sum of those of its two diagonal blocks.
+        """
+        problem, most = self._problem, 0.0
+        for term in self._terms:
+            side = self._side(term, state)
+            rigid, W = side.rigid, side.velocities
+            tangent = Tangent(problem.body, term.stiffest(state))
+            S = total(problem.body.cloud.comm, np.stack([side.resultants(tangent(one)) for one in W]))
+            assert rigid.masses is not None
+            root = 1.0 / np.sqrt(rigid.masses[rigid.free])
+            most = max(most, float(np.linalg.eigvalsh(0.5 * root[:, None] * (S + S.T) * root).max()))
+        return most
 
     def _approach(self, term: Term, state: State) -> bool:
         """Move a tool that touches nothing along its force until the body, held in place, carries it.

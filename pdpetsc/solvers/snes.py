@@ -54,9 +54,7 @@ class SnesSolver(StepSolver):
         self._n_u = problem.supports.fixed.size
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
-        self._rigid: RigidBodies | None = None
-        if any(term.rigid is not None for term in problem.terms):
-            self._rigid = RigidBodies(problem, self._equilibrium.size)
+        self._rigid = RigidBodies.of(problem, self._equilibrium.size)
         self.snes = PETSc.SNES().create(comm=self._comm)
         # Whether the energy rises along the last step of the linear solver.
         self._rises = False

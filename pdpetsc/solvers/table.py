@@ -17,6 +17,7 @@ from pdpetsc.declare.solvers import (
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.solvers.dynamics.explicit import ExplicitSolver
 from pdpetsc.solvers.dynamics.implicit import ImplicitSolver
 from pdpetsc.solvers.dynamics.snap import SnapSolver
@@ -80,12 +81,9 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective)."""
     solver_of(problem, declared).refuse(problem)
-    rigid = next((term.rigid for term in problem.terms if term.rigid is not None), None)
-    if rigid is not None and solver_of(problem, declared) is not StaticSolver:
-        raise CaseError(
-            f"{rigid.title} has a load, and {declared.title} does not find its motion. Use Newton, with staggered "
-            f"coupling of a temperature, or prescribe the motion."
-        )
+    for term in problem.terms:
+        if term.rigid is not None:
+            _refuse_load(term.rigid, solver_of(problem, declared), declared)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(
@@ -107,3 +105,18 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
                 )
     if needs.proportional != "no":
         refuse_what_is_not_proportional(problem, declared.title, beyond=needs.proportional == "at any load")
+
+
+def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver) -> None:
+    """Raise CaseError if a solver does not find the motion of a loaded rigid body."""
+    if solver is StaticSolver:
+        return
+    if solver not in (ImplicitSolver, ExplicitSolver) or rigid.rows is not None:
+        raise CaseError(
+            f"{rigid.title} has a load, and {declared.title} does not find its motion. Use Newton, with staggered "
+            f"coupling of a temperature, or prescribe the motion."
+        )
+    if rigid.masses is None:
+        raise CaseError(f"{rigid.title} has a load and no mass. Give it mass, and with a moment inertia.")
+    if isinstance(declared, Implicit | Explicit) and declared.preload:
+        raise CaseError(f"{rigid.title} has a load, and preload holds it. Leave preload out.")

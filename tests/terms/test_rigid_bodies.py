@@ -290,6 +290,7 @@ def test_loads_that_conflict_are_refused(given, match):
 
 def test_solvers_that_do_not_move_tools_refuse_loads(tmp_path):
     tool = disc(force=(None, -20.0))
+    heavy = disc(force=(None, -20.0), mass=1.0)
     material = pd.Hencky(E, 0.3, density=1.0)
     solvers = {
         "moves": [pd.Explicit(end=1.0), pd.Implicit(dt=0.1, end=1.0)],
@@ -298,7 +299,103 @@ def test_solvers_that_do_not_move_tools_refuse_loads(tmp_path):
     for kind, some in solvers.items():
         for solver in some:
             steps = pd.Steps() if kind == "moves" else pd.Steps(2)
-            with pytest.raises(pd.CaseError, match=r"has a load, and .* does not find its motion"):
+            match = "has a load and no mass" if kind == "moves" else r"has a load, and .* does not find its motion"
+            with pytest.raises(pd.CaseError, match=match):
                 pd.run(pressed(tool, material=material, solver=solver, steps=steps), tmp_path)
+    with pytest.raises(pd.CaseError, match="has a load, and preload holds it"):
+        pd.run(pressed(heavy, material=material, solver=pd.Explicit(end=1.0, preload=True), steps=pd.Steps()), tmp_path)
+    with pytest.raises(pd.CaseError, match="has a velocity in a direction without force"):
+        pd.prepare(pressed(disc(force=(None, 0.0), velocity=(1.0, 0.0), mass=1.0)))
     with pytest.raises(pd.CaseError, match="do not go with one whose motion follows from a load"):
         pd.run(pressed(tool, modes=pd.Modes(2)), tmp_path)
+
+
+SOLVERS = {"explicit": pd.Explicit(end=0.5, records=10), "implicit": pd.Implicit(dt=0.01, end=0.5, radius=1.0)}
+
+
+@pytest.mark.parametrize("solver", ["explicit", "implicit"])
+def test_a_tool_that_touches_nothing_flies(solver, tmp_path):
+    """Both integrators are exact for a constant force and moment."""
+    loads = {"force": (1.0, -4.0), "moment": 3.0, "about": DISC, "schedule": pd.Hold()}
+    tool = disc(gap=5.0, **loads, mass=2.0, inertia=0.5, velocity=(0.3, 1.0))
+    material = pd.LinearElastic(E, 0.0, density=1.0)
+    case = pressed(tool, material=material, solver=SOLVERS[solver], steps=pd.Steps(), history={})
+    found = pd.run(case, tmp_path).history
+    t = found["time"]
+    assert len(t) > 5
+    assert found["tool_move_x"] == pytest.approx(0.3 * t + 0.25 * t**2, abs=1e-12)
+    assert found["tool_move_y"] == pytest.approx(t - t**2, abs=1e-12)
+    assert found["tool_turn"] == pytest.approx(3.0 * t**2, abs=1e-12)
+    assert found["tool_spin"] == pytest.approx(6.0 * t, abs=1e-12)
+    assert found["tool_velocity_y"] == pytest.approx(1.0 - 2.0 * t, abs=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["explicit", "implicit"])
+def test_a_mass_that_hits_a_bar_is_stopped_by_its_wave(solver, tmp_path):
+    """Saint-Venant: the wave takes the impulse rho c v of the end, and the velocity decays as exp(-rho c A t / m)."""
+    density, mass, v, length = 4.0, 20.0, 0.02, 5.0
+    wave = np.sqrt(E / density)
+    end = 0.9 * 2.0 * length / wave
+    hammer = pd.RigidPlane((length, 0.5), (-1.0, 0.0), force=(0.0, None), mass=mass, velocity=(-v, 0.0))
+    solvers = {"explicit": pd.Explicit(end=end, records=40, safety=0.3), "implicit": pd.Implicit(dt=end / 160, end=end)}
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (length, 1.0), 0.125),
+        material=pd.LinearElastic(E, 0.0, density=density),
+        conditions=[pd.Clamp("-x"), pd.Contact("+x", hammer, name="tool")],
+        solver=solvers[solver],
+        history={"work": pd.ExternalWork(), "error": pd.EnergyError()},
+    )
+    found = pd.run(case, tmp_path).history
+    expected = -v * np.exp(-density * wave * found["time"] / mass)
+    assert expected[-1] > -0.6 * v
+    np.testing.assert_allclose(found["tool_velocity_x"][2:], expected[2:], atol=0.03 * v)
+    # What the tool loses, the body has.
+    lost = 0.5 * mass * (v**2 - found["tool_velocity_x"][-1] ** 2)
+    assert found["work"][-1] == pytest.approx(lost, rel=0.01)
+    assert np.abs(found["error"]).max() < 0.01
+
+
+MOVING = """
+import pdpetsc as pd
+
+def case(solver="explicit"):
+    disc = pd.RigidSphere(
+        (1.0, 3.02), 2.0, force=(0.5, -1.0), moment=2.0, about=(1.0, 3.02), mass=3.0, inertia=4.0, velocity=(0.2, -0.8)
+    )
+    solvers = {"explicit": pd.Explicit(end=0.2, records=8), "implicit": pd.Implicit(dt=0.01, end=0.2)}
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125),
+        material=pd.Hencky(1000.0, 0.3, density=2.0),
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", disc, 0.3, penetration=0.1, name="tool")],
+        solver=solvers[solver],
+        history={"stop": Stopping()},
+        results=lambda h: {name: h[f"tool_{name}"][-1] for name in ("velocity_x", "velocity_y", "spin", "turn")},
+    )
+
+class Stopping(pd.Quantity):
+    at = 2.0
+
+    def evaluate(self, solution):
+        if solution.t > Stopping.at:
+            raise pd.SolveError("It stops here.")
+        return 0.0
+"""
+
+
+@pytest.mark.parametrize("solver", ["explicit", "implicit"])
+def test_a_striker_is_the_same_on_ranks_and_after_a_restart(solver, tmp_path):
+    path = tmp_path / "case.py"
+    path.write_text(MOVING)
+    one = results(path, f"solver={solver}", output=tmp_path / "one")["results"]
+    assert one["velocity_y"] > 0.1  # it has bounced
+    assert abs(one["spin"]) > 0.01
+    two = results(path, f"solver={solver}", ranks=2, output=tmp_path / "two")["results"]
+    assert two == pytest.approx(one, rel=1e-6)
+    space = {}
+    exec(MOVING, space)
+    space["Stopping"].at = 0.6
+    with pytest.raises(pd.SolveError):
+        pd.run(space["case"](solver), tmp_path / "half")
+    space["Stopping"].at = 2.0
+    again = pd.run(space["case"](solver), tmp_path / "again", restart=tmp_path / "half")
+    assert {name: again[name] for name in one} == pytest.approx(one, rel=1e-12)

@@ -29,6 +29,7 @@ from pdpetsc.solvers.dynamics.motion import (
 from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.solvers.relaxation import RelaxationSolver
+from pdpetsc.solvers.rigid_bodies import RigidBodies
 
 # Largest number of bonds that fail at once: all.
 ALL = 2**62
@@ -80,6 +81,7 @@ class ExplicitSolver(Solver):
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
         self._steps = 0
+        self._rigid = RigidBodies.of(problem)
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
         self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
@@ -122,6 +124,8 @@ class ExplicitSolver(Solver):
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
+        if start.t == 0.0 and self._rigid is not None:
+            self._rigid.begin(state)
         resume = start.resume
         largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
         self._steps = int(resume.get(STEPS, 0))
@@ -253,7 +257,9 @@ class ExplicitSolver(Solver):
         inertia.raise_mass(k * largest_frequency(problem, rest, k) ** 2 / square)
 
     def _frequency(self, u: Float, t: float) -> float:
-        return largest_frequency(self._problem, self._problem.state(u, t), self._inertia.mass)
+        state = self._problem.state(u, t)
+        found = largest_frequency(self._problem, state, self._inertia.mass)
+        return found if self._rigid is None else math.sqrt(found**2 + self._rigid.frequency_squared(state))
 
     def _stable(self, frequency: float) -> float:
         """Return the time step for a largest frequency, with the damping ratio of its mode."""
@@ -270,6 +276,8 @@ class ExplicitSolver(Solver):
         n, held = len(inertia.mass), fixed[: len(inertia.mass)]
         problem.start_from(problem.state(u, problem.converged))
         half = inertia.v + 0.5 * dt * inertia.a
+        if self._rigid is not None:
+            self._rigid.fly(dt)
         moved = u.copy()
         moved[:n] += dt * half
         if self._held:
@@ -284,6 +292,8 @@ class ExplicitSolver(Solver):
         state = problem.state(moved, t)
         acting = forces(problem, state)
         place(*acting)
+        if self._rigid is not None:
+            self._rigid.land(state, dt)
         balance.move(state, *acting, viscous)
         damage = problem.bond_damage
         if damage is None or not damage.fails(state):

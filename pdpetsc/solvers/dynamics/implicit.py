@@ -14,7 +14,7 @@ from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
-from pdpetsc.problem.inertia import Blend
+from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
 from pdpetsc.solvers.dynamics.motion import (
@@ -151,6 +151,8 @@ class ImplicitSolver(TimeStepSolver):
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
+        if start.t == 0.0 and self._rigid is not None:
+            self._rigid.begin(state)
         inertia.begin_step(*(found := forces(problem, state)))
         balance.begin(state, *found, inertia.energy_of_free())
         recorded = start.t

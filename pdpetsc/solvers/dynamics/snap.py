@@ -14,7 +14,7 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import Interrupted, SolveError
 from pdpetsc.problem.assembly import Filler
-from pdpetsc.problem.inertia import Blend
+from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.balance import EnergyBalance
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance

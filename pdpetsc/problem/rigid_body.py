@@ -109,6 +109,12 @@ class RigidBody:
             return v + d
         return np.asarray((v - (x - self._about) @ (R - np.eye(self._dim))) @ R.T + d)
 
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return title, load parameter and force (dim,) at the end of the load; empty without load (not collective)."""
+        found = [(self.title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
+        return found if self.free.any() else []
+
     def load(self, t: float) -> Float:
         """Return the loads of the free components (n_free,) [force], [force length]."""
         return self.declared.load(t, self._dim)[self.free]

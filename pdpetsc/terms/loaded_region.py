@@ -30,6 +30,11 @@ class LoadedRegion(Term):
         """Return the region (not collective)."""
         return self._rigid
 
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return name, load parameter and force (not collective)."""
+        return self._rigid.resultants
+
     def linearise(self, state: State) -> Sequence[Product]:
         """Return an empty list: the term has no forces."""
         return []

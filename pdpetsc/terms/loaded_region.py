@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pdpetsc.arrays import LocalIndex
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State

@@ -78,8 +78,11 @@ class Modes(Declared):
     V`` of the particles, from the ``density`` of their materials. A negative frequency -f stands for the growth
     ``exp(2 pi f t)`` of a mode in an unstable equilibrium.
 
-    Buckling factors solve ``K_0 phi = c (K_0 - K_1) phi`` with the tangents of the undeformed body and of the last
-    equilibrium. The body buckles at c times the load, if the tangent is linear in the load: apply a small part of it.
+    Buckling factors solve ``K_0 phi = s (K_0 - K_1) phi`` with the tangents of the last two equilibria, at load
+    parameters t_0 and t_1; before the first step the body is undeformed. The body buckles at ``c = (t_0 + s (t_1 -
+    t_0)) / t_1`` times the load, if the load is proportional to t and the tangent linear in it. A small part of the
+    load is enough for a body that only compresses before it buckles. For a body that bends, apply nearly the critical
+    load with a short last step.
 
     The results are ``frequency_1``, ``frequency_2``, ... or ``buckling_1``, ...; the shapes are in ``modes.h5``, see
     ``Result.mode``. The eigenvectors are kept on one rank.

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 from pdpetsc.declared import Count, Declared, Positive, shown
 from pdpetsc.errors import CaseError
 
-Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
+Unstable: TypeAlias = Literal["warn", "shorten", "refuse", "switch"]
 # Files number steps with five digits.
 MOST_STEPS = 99_999
 # A shorter step is below the rounding of the load parameter.
@@ -47,12 +47,14 @@ class Steps(Declared):
         Number of bonds that break before equilibrium is solved again, in the order of their driving variables. By
         default one for bonds that snap, with those of equal driving variable, and all that have lost their force for
         bonds that soften.
-    unstable : {"warn", "shorten", "refuse"}
+    unstable : {"warn", "shorten", "refuse", "switch"}
         Action at an equilibrium whose tangent has negative pivots, such as of a column above its critical force. Only
         the factorisation of a direct linear solver counts them. ``warn`` continues with a warning. ``shorten`` treats
         the step as failed, so that the run ends within the smallest step of the critical load. ``refuse`` ends the run.
-        Both end a run whose pivots are not counted: the solver is iterative, the tangent not symmetric, or damage was
-        held during a jump.
+        ``switch`` moves an elastic body along the unstable eigenvector of its tangent to a stable equilibrium under the
+        same load, such as that of a bent column, and continues from there; if there is none, it shortens the step. The
+        mean displacement of the eigenvector is positive. All but ``warn`` end a run whose pivots are not counted: the
+        solver is iterative, the tangent not symmetric, or damage was held during a jump.
     plastic_growth : float, optional
         Largest growth of the accumulated plastic strain at any point in a step [-]. A step with a larger growth is
         repeated with a smaller size, and the size of the next step is limited accordingly.

@@ -9,27 +9,24 @@ import h5py
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Complex, Float, Mask, irregular
+from pdpetsc.arrays import Complex, Float
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.solvers import Newton
-from pdpetsc.discrete.communicator import Comm, agreed, is_root, largest, total
+from pdpetsc.discrete.communicator import agreed, is_root, largest, total
 from pdpetsc.errors import CaseError, SolveError
-from pdpetsc.output.observer import Observer, StepRecords
+from pdpetsc.output.observer import Observed, Observer, StepRecords
 from pdpetsc.output.progress import Report
 from pdpetsc.output.records import Table
 from pdpetsc.post.quantities import Quantity
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
-from pdpetsc.solvers.protocol import Flexibility, Solver
+from pdpetsc.solvers.eigenvectors import EXACT, converged, led, of_inverse
+from pdpetsc.solvers.protocol import Converged, Flexibility, Solver
 
-# Relative accuracy of linear solves and of eigenvalues.
-EXACT = 1e-10
 # Displacement over the mean spacing in derivatives of quantities.
 SMALL = 1e-4
-# Largest number of restarts of the eigensolver; modes that exist need some ten.
-ITERATIONS = 300
 
 
 class FoundModes(Observer):
@@ -39,6 +36,18 @@ class FoundModes(Observer):
         self._case, self._declared = case, declared
         self._values: list[float] = []
         self._response: dict[str, float] = {}
+        # Unknowns and load parameter of the last two equilibria; at the beginning those of the start.
+        self._ends: list[tuple[Float, float]] = []
+
+    def begin(self, observed: Observed) -> None:
+        """Store the state from which the run starts."""
+        super().begin(observed)
+        self._ends = [(observed.last.unknowns, observed.last.t)]
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Store the state of a converged step."""
+        self._ends = [self._ends[-1], (solution.unknowns, solution.t)]
+        return {}
 
     def rehearse(self, start: Solution, report: Report) -> None:
         """Refuse what has no modes."""
@@ -55,7 +64,7 @@ class FoundModes(Observer):
         if declared.of == "frequency":
             values, shapes = frequencies(self._case, problem, observed.solver, last.unknowns, last.t, declared.count)
         else:
-            values, shapes = buckling(problem, observed.solver, last.unknowns, last.t, declared.count)
+            values, shapes = buckling(problem, observed.solver, self._ends, declared.count)
         self._values = values
         if len(values) < declared.count:
             observed.report.say(f"{len(values)} of {declared.count} modes were found: the load causes no more")
@@ -95,18 +104,8 @@ class FoundModes(Observer):
 
 def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
     """Raise CaseError on all ranks if the modes of a case cannot be computed (collective)."""
-    wrong = ""
-    if problem.damage is not None or case.heat is not None or problem.body.cloud.n_virtual:
-        wrong = "do not go with damage, heat conduction or a periodic cell"
-    elif problem.material_term.has_history:
-        wrong = "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
-    elif not problem.symmetric:
-        wrong = "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
-    elif any(term.rigid is not None for term in problem.terms):
-        wrong = "hold rigid bodies where they are, and do not go with one whose motion follows from a load"
-    elif not isinstance(case.solver, Newton):
-        wrong = "need the tangent of load steps: let the solver be Newton()"
-    elif declared.of == "buckling" and problem.material_term.linear:
+    wrong = has_no_modes(case, problem)
+    if not wrong and declared.of == "buckling" and problem.material_term.linear:
         wrong = "of buckling need a material for large rotations, such as NeoHookean"
     if wrong:
         raise CaseError(f"Modes {wrong}.")
@@ -122,6 +121,21 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
             raise CaseError(f"Modes need the density of each material, and {without[0]} has none.")
 
 
+def has_no_modes(case: Case, problem: Problem) -> str:
+    """Return the reason if the tangents of a case have no modes that mean anything, else an empty string."""
+    if problem.damage is not None or case.heat is not None or problem.body.cloud.n_virtual:
+        return "do not go with damage, heat conduction or a periodic cell"
+    if problem.material_term.has_history:
+        return "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
+    if not problem.symmetric:
+        return "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
+    if any(term.rigid is not None for term in problem.terms):
+        return "hold rigid bodies where they are, and do not go with one whose motion follows from a load"
+    if not isinstance(case.solver, Newton):
+        return "need the tangent of load steps: let the solver be Newton()"
+    return ""
+
+
 def masses(case: Case, problem: Problem) -> Float:
     """Return the masses of the own particles (n_owned,) [mass] (collective)."""
     cloud = problem.body.cloud
@@ -135,9 +149,6 @@ def frequencies(
 ) -> tuple[list[float], list[Float]]:
     """Compute frequencies [1 / time] and shapes (n_owned, dim) with unit modal mass, lowest first.
 
-    The largest eigenvalues of ``M^1/2 C (C^T K C)^-1 C^T M^1/2`` are the smallest of ``C^T (K - w^2 M) C``; C are the
-    constraints.
-
     Raises
     ------
     SolveError
@@ -147,29 +158,15 @@ def frequencies(
     -----
     Collective.
     """
-    root = np.sqrt(masses(case, problem))[:, None]
     flexible = _flexibility(solver, u, t)
-    n = problem.body.cloud.n_owned
     # The factor counts the unstable modes, whose eigenvalues are negative.
     flexible(np.zeros_like(u))
     unstable = flexible.negative_pivots() or 0
-
-    def operator(y: Float) -> Float:
-        force = np.zeros_like(u)
-        force[:n] = root * y.reshape(n, -1)
-        return np.asarray(root * flexible(force)[:n]).ravel()
-
-    def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
-        A = scipy.sparse.linalg.LinearOperator((size, size), apply["A"], dtype=float)
-        kinds = [("LA", count)] if not unstable else [("SA", min(unstable, size - 1)), ("LA", count)]
-        parts = [_converged(A, most, which=which, v0=start) for which, most in kinds]
-        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts], axis=1)
-
-    values, vectors = _led(problem, {"A": operator}, np.ones((n, problem.dim), dtype=bool), solve)
+    kinds = [("SA", unstable), ("LA", count)] if unstable else [("LA", count)]
+    values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds)
     found = []
-    for value, y in zip(values, vectors, strict=True):
-        f = float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value))))
-        found.append((f, y / root))
+    for value, shape in zip(values, shapes, strict=True):
+        found.append((float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value)))), shape))
     found.sort(key=lambda one: one[0])
     return [f for f, _ in found[:count]], [shape for _, shape in found[:count]]
 
@@ -218,26 +215,35 @@ def response(
     return dict(zip(quantities, found.T, strict=True))
 
 
-def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -> tuple[list[float], list[Float]]:
+def buckling(
+    problem: Problem, solver: Solver, ends: Sequence[tuple[Float, float]], count: int
+) -> tuple[list[float], list[Float]]:
     """Compute positive buckling factors [-], lowest first, and shapes (n_owned, dim) whose largest component is 1.
 
-    Errors as for ``frequencies``. Collective.
+    The tangent is extrapolated from the first to the last of the ``ends``, unknowns and load parameters. Errors as for
+    ``frequencies``. Collective.
     """
     supports, n = problem.supports, problem.body.cloud.n_owned
-    rest = np.zeros_like(u)
-    flexible = _flexibility(solver, rest, 0.0)
-    stiff = problem.linearised(problem.state(rest, 0.0))
-    loaded = problem.linearised(problem.state(u, t))
+    (u0, t0), (u1, t1) = ends[0], ends[-1]
+    flexible = _flexibility(solver, u0, t0)
+    flexible(np.zeros_like(u0))
+    if flexible.negative_pivots():
+        raise SolveError(
+            f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable; apply a "
+            f"smaller load."
+        )
+    stiff = problem.linearised(problem.state(u0, t0))
+    loaded = problem.linearised(problem.state(u1, t1))
     free = ~supports.fixed[:n]
 
     def unpacked(y: Float) -> Float:
-        values = np.zeros_like(u)
+        values = np.zeros_like(u0)
         values[:n][free] = y
         return values
 
     def against(*signed: tuple[float, Callable[[Float], Float]]) -> Callable[[Float], Float]:
         def product(y: Float) -> Float:
-            moved, force = supports.completed(unpacked(y)), np.zeros_like(u)
+            moved, force = supports.completed(unpacked(y)), np.zeros_like(u0)
             for sign, tangent in signed:
                 force += sign * tangent(moved)
             return np.asarray(supports.reduced(force)[:n][free])
@@ -252,89 +258,21 @@ def buckling(problem: Problem, solver: Solver, u: Float, t: float, count: int) -
         A, M, Minv = (
             scipy.sparse.linalg.LinearOperator((size, size), apply[name], dtype=float) for name in ("A", "M", "Minv")
         )
-        return _converged(A, count, M=M, Minv=Minv, which="LA", v0=start)
+        return converged(A, count, M=M, Minv=Minv, which="LA", v0=start)
 
     operators = {"A": against((1.0, stiff), (-1.0, loaded)), "M": against((1.0, stiff)), "Minv": inverse}
-    values, vectors = _led(problem, operators, free, solve)
+    values, vectors = led(problem, operators, free, solve)
     found = []
     for value, y in zip(values, vectors, strict=True):
         if value > EXACT:
             shape = supports.completed(unpacked(y[free]))[:n]
             size = largest(problem.body.cloud.comm, float(np.abs(shape).max(initial=0.0)))
-            found.append((1.0 / float(value), shape / size))
+            found.append(((t0 + (t1 - t0) / float(value)) / t1, shape / size))
     found.sort(key=lambda one: one[0])
     return [factor for factor, _ in found], [shape for _, shape in found]
-
-
-def _converged(A: Any, count: int, **given: Any) -> tuple[Float, Float]:
-    """Return the eigenvalues and eigenvectors that converge, at most ``count``; the others have no meaning here."""
-    try:
-        values, vectors = scipy.sparse.linalg.eigsh(A, count, tol=EXACT, maxiter=ITERATIONS, **given)
-    except scipy.sparse.linalg.ArpackNoConvergence as error:
-        values, vectors = error.eigenvalues, error.eigenvectors
-    return np.asarray(values), np.asarray(vectors)
 
 
 def _flexibility(solver: Solver, u: Float, t: float) -> Flexibility:
     found = solver.flexibility(u, t, EXACT)
     assert found is not None
     return found
-
-
-def _led(
-    problem: Problem, operators: Mapping[str, Callable[[Float], Float]], taken: Mask,
-    solve: Callable[[Mapping[str, Callable[[Float], Float]], int, Float], tuple[Float, Float]],
-) -> tuple[Float, list[Float]]:  # fmt: skip
-    """Let rank 0 solve an eigenproblem of distributed operators; return eigenvalues and eigenvectors (n_owned, dim).
-
-    Rank 0 alone decides which operator is applied next, so that rounding cannot part the ranks.
-
-    Parameters
-    ----------
-    operators : mapping of str to callable
-        Operators on the entries ``taken`` of this rank; collective.
-    taken : (n_owned, dim) bool
-        Unknowns of the eigenproblem.
-    solve : callable
-        Gets operators on the unknowns of all ranks, their number and a start, and returns eigenvalues and eigenvectors.
-    """
-    comm, cloud = problem.body.cloud.comm, problem.body.cloud
-    counts = np.array(comm.allgather(int(taken.sum())))
-    size, parts = int(counts.sum()), np.cumsum(counts)[:-1]
-    start = comm.gather(irregular(cloud.gid[: cloud.n_owned], problem.dim)[taken])
-
-    def spread(name: str, y: Float) -> Float:
-        """Apply an operator, on all ranks together; called on rank 0."""
-        comm.bcast(name)
-        return _applied(comm, operators[name], np.split(np.ravel(y), parts))
-
-    found: tuple[Float, Float] | None = None
-    wrong = ""
-    if is_root(comm):
-        assert start is not None
-        try:
-            apply = {name: (lambda y, name=name: spread(name, y)) for name in operators}
-            found = solve(apply, size, np.concatenate(start))
-        except scipy.sparse.linalg.ArpackError as error:
-            wrong = " ".join(str(error).split())
-        comm.bcast(None)
-    else:
-        while (name := comm.bcast(None)) is not None:
-            _applied(comm, operators[name], [])
-    wrong = comm.bcast(wrong)
-    if wrong:
-        raise SolveError(f"The modes of the last equilibrium were not found: {wrong}.")
-    values = comm.bcast(None if found is None else found[0])
-    vectors = []
-    for number in range(len(values)):
-        part = comm.scatter([] if found is None else np.split(found[1][:, number], parts))
-        vector = np.zeros((cloud.n_owned, problem.dim))
-        vector[taken] = part
-        vectors.append(vector)
-    return values, vectors
-
-
-def _applied(comm: Comm, operator: Callable[[Float], Float], parts: list[Float]) -> Float:
-    """Apply an operator to the parts that rank 0 holds; return the whole result on rank 0 (collective)."""
-    gathered = comm.gather(operator(comm.scatter(parts)))
-    return np.zeros(0) if gathered is None else np.concatenate(gathered)

@@ -47,6 +47,6 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         Fragments(),
         UnbalancedForces(case),
         *([] if case.modes is None else [FoundModes(case, case.modes)]),
-        Stability(case.solver.finds_load),
+        Stability(case),
         FinalPicture(case.picture),
     ]

@@ -148,6 +148,7 @@ def _of_attempt(result: StepResult, unit: str) -> dict[str, Any]:
         "negative_pivots": result.negative_pivots,
         **({"growth": result.growth} if result.growth else {}),
         **({"moved": result.moved} if result.moved else {}),
+        **({"switched": result.switched} if result.switched else {}),
         f"{unit.lower()}_iterations": result.iterations,
         "linear_iterations": result.linear_iterations,
     }

@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from pdpetsc.case import Case
+from pdpetsc.errors import CaseError
 from pdpetsc.output.observer import Observer, StepRecords
+from pdpetsc.output.progress import Report
+from pdpetsc.post.solution import Solution
+from pdpetsc.running.modes import has_no_modes
 
 
 class Stability(Observer):
     """Warns of unstable equilibria and of branches.
 
-    Parameters
-    ----------
-    finds_load : bool
-        True if the load factor is an unknown, so that equilibria beyond the limit load are intended.
+    If the solver computes the load factor, equilibria beyond the limit load are intended.
     """
 
-    def __init__(self, finds_load: bool) -> None:
-        self._finds_load = finds_load
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    def rehearse(self, start: Solution, report: Report) -> None:
+        """Refuse to switch branches if the tangent has no modes, or with contact."""
+        if self._case.steps.unstable != "switch":
+            return
+        wrong = has_no_modes(self._case, start.problem)
+        if not wrong and start.problem.last_step is not None:
+            wrong = "do not go with contact"
+        if wrong:
+            raise CaseError(f'Steps(unstable="switch") follow eigenvectors of the tangent, which {wrong}.')
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return the number of steps that switched to another branch."""
+        switched = sum("switched" in step for step in steps)
+        return {"switched_steps": switched} if self._case.steps.unstable == "switch" else {}
 
     def warnings(self, steps: StepRecords) -> list[str]:
         """Return a warning for unstable equilibria and one for branches."""
         unstable = [step["t"] for step in steps if step["negative_pivots"]]
         branching = [step["t"] for step in steps if step.get("growth", 0.0) > 1.0]
         found = []
-        if unstable and not self._finds_load:
+        if unstable and not self._case.solver.finds_load:
             found.append(
                 f"{len(unstable)} of {len(steps)} equilibria are unstable, first at step time {unstable[0]:.6g}. "
-                "Perturb the body, or use Steps(unstable='shorten')."
+                "Perturb the body, or use Steps(unstable='shorten') or 'switch'."
             )
         if branching:
             found.append(

@@ -61,6 +61,8 @@ class Equilibrium:
         Degrees of freedom that are neither prescribed nor tied.
     supported : (n_rows, dim) bool
         Degrees of freedom that are prescribed.
+    size, smallest_spacing : float
+        Diagonal of the box around the body, and smallest distance of two particles [length].
     t : float
         Load parameter of the current solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
@@ -102,8 +104,9 @@ class Equilibrium:
             largest(comm, float(a.max(initial=-np.inf))) - smallest(comm, float(a.min(initial=np.inf))) for a in x.T
         ]
         least = smallest(comm, float(spacing.min(initial=np.inf)))
+        self.smallest_spacing = least
         self.size = float(np.linalg.norm(sides)) + least
-        # Ratio of the size to the smallest distance of particles [-].
+        # Size of the body over the smallest distance of particles [-].
         self._slender = self.size / least
         self.scales = scales_of(problem.body, problem.material_term)
         self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)

@@ -78,6 +78,8 @@ def load_steps(
     A failed step is halved and restarts from the last converged state. After an easy step the size grows by half, up to
     the largest. Solvers with inertia (``moved_to_rest``) continue the smallest step as a motion.
 
+    From an unstable equilibrium the solver switches to a stable one at the same load, if the steps declare it.
+
     Raises
     ------
     SolveError
@@ -108,6 +110,8 @@ def load_steps(
                 f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
                 f'{t:.6g}; take unstable="warn" to go on without.'
             )
+        if result.converged and result.negative_pivots and steps.unstable == "switch":
+            attempt, result = solver.switched(attempt, result)
         if result.converged and result.negative_pivots and steps.unstable != "warn":
             result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
             if steps.unstable == "refuse":

@@ -23,6 +23,7 @@ from pdpetsc.petsc.library import (
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.solvers.branch import BranchSwitch
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
@@ -136,14 +137,22 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         sought.forget()
         return found
 
+    def switched(self, u: Float, result: StepResult) -> tuple[Float, StepResult]:
+        """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome."""
+        return BranchSwitch(self, self._equilibrium, self._inverse_at).stable(u, result)
+
+    def _inverse_at(self, u: Float) -> Flexibility:
+        """Return the inverse of the tangent at ``u`` and the load parameter of the last solve."""
+        state = self.state(u)
+        self._equilibrium.update(state)
+        return _Inverse(self, u, state)
+
     def flexibility(self, u: Float, t: float, rtol: float) -> Flexibility:
         """Return the inverse of the tangent at an equilibrium."""
-        sought = self._equilibrium
-        sought.impose(t)
+        self.t = t
+        self._equilibrium.impose(t)
         self.snes.getKSP().setTolerances(rtol=rtol)
-        state = self.problem.state(u, t)
-        sought.update(state)
-        return _Inverse(self, u, state)
+        return self._inverse_at(u)
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
@@ -230,7 +239,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
         more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
-        change = sought.held_in_place(more.ravel(), u, self._answer, self._rtol).reshape(u.shape) + jump
+        change = sought.held_in_place(more.ravel(), u, self._answer, self.rtol).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self._comm, float(change.sum()))))
         return sought.at_prescribed(u + (change if finite else jump)), iterations
 

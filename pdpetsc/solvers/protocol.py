@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from pdpetsc.arrays import Float
@@ -44,6 +44,9 @@ class StepResult:
         the next [-]. Above 1, other branches of equilibria exist, and round-off may decide which branch a run follows.
     moved : float
         Time of a motion that led to the equilibrium [time].
+    switched : float
+        Largest displacement from an unstable equilibrium under the same load to this one [length]; 0 if the step did
+        not switch to another branch.
     """
 
     converged: bool
@@ -56,6 +59,7 @@ class StepResult:
     negative_pivots: int | None = None
     growth: float = 0.0
     moved: float = 0.0
+    switched: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -256,6 +260,7 @@ class Solver(ABC):
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
             f"{f', unstable equilibrium ({pivots})' if negative else ''}"
             f"{f', moved for {result.moved:.3g} to rest' if result.moved else ''}"
+            f"{f', switched to the stable branch, {result.switched:.3g} away' if result.switched else ''}"
             f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
             f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
             f"{f', not unique (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
@@ -325,6 +330,13 @@ class StepSolver(Solver):
     def growth(self, u: Float) -> float:
         """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if unknown (collective)."""
         return 0.0
+
+    def switched(self, u: Float, result: StepResult) -> tuple[Float, StepResult]:
+        """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome (collective).
+
+        The outcome has not converged if none is found. Solvers without a tangent find none.
+        """
+        return u, replace(result, converged=False, reason="this solver finds no stable equilibrium")
 
     def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
         """Find the equilibrium at load parameter ``t`` to which the body moves from ``u`` if the step has none.

@@ -129,7 +129,7 @@ class SnesSolver(StepSolver):
     def loosely(self) -> Iterator[None]:
         """Relax the tolerances of SNES and its linear solver to ``LOOSE`` in the ``with`` block."""
         ksp = self.snes.getKSP()
-        rtol, of_linear = self._rtol, ksp.getTolerances()[0]
+        rtol, of_linear = self.rtol, ksp.getTolerances()[0]
         self.snes.setTolerances(rtol=max(rtol, LOOSE))
         ksp.setTolerances(rtol=max(of_linear, 0.1 * LOOSE))
         try:
@@ -139,7 +139,8 @@ class SnesSolver(StepSolver):
             ksp.setTolerances(rtol=of_linear)
 
     @property
-    def _rtol(self) -> float:
+    def rtol(self) -> float:
+        """Return the relative tolerance of the residual [-]."""
         return float(self.snes.getTolerances()[0])
 
     def _displacement(self, x: PETSc.Vec) -> Float:
@@ -162,7 +163,7 @@ class SnesSolver(StepSolver):
             sought.move_springs(rest)
             sought.reason = ""
             linear += self._iterate(rest)
-            resting = sought.at_rest(self._read(self._x), self._rtol)
+            resting = sought.at_rest(self._read(self._x), self.rtol)
         for _ in range(SETTLINGS):
             found = sought.at_prescribed(self._read(self._x))
             if not resting or self.snes.getConvergedReason() <= 0:
@@ -174,7 +175,7 @@ class SnesSolver(StepSolver):
                     sought.reason = ""
                     sought.impose(sought.t)
                     linear += self._iterate(sought.at_prescribed(moved))
-                    resting = sought.at_rest(self._read(self._x), self._rtol)
+                    resting = sought.at_rest(self._read(self._x), self.rtol)
                     continue
                 if self._rigid is not None and self._rigid.objection:
                     sought.reason = self._rigid.objection
@@ -185,7 +186,7 @@ class SnesSolver(StepSolver):
                 return not objection, linear
             sought.reason = ""
             linear += self._iterate(found)
-            resting = sought.at_rest(self._read(self._x), self._rtol)
+            resting = sought.at_rest(self._read(self._x), self.rtol)
         sought.reason = UNSETTLED
         return False, linear
 
@@ -218,7 +219,7 @@ class SnesSolver(StepSolver):
 
     def _judged(self, x: PETSc.Vec) -> bool:
         """Return True if the residuals at a vector are within the tolerance."""
-        return self._equilibrium.judge(self._read(x), self._rtol) and self._others_converged(x)
+        return self._equilibrium.judge(self._read(x), self.rtol) and self._others_converged(x)
 
     def _pivots(self) -> int | None:
         """Return the negative pivots of the tangent; None unless the tangent was factored.
@@ -279,7 +280,7 @@ class SnesSolver(StepSolver):
                 y.scale(-1.0)
         if not sought.resting:
             step = y.array_r * self._scales.length
-            y.array = sought.held_in_place(step, self._read(x), self._answer, self._rtol) / self._scales.length
+            y.array = sought.held_in_place(step, self._read(x), self._answer, self.rtol) / self._scales.length
         moved = x.duplicate()
 
         def after(part: float) -> Float:
@@ -297,7 +298,7 @@ class SnesSolver(StepSolver):
         if self.stop():
             return sought.interrupted()
         values, others = self._read(x), self._others_converged(x)
-        verdict = sought.verdict(values, iteration, self._norm(norms[2]), self._rtol)
+        verdict = sought.verdict(values, iteration, self._norm(norms[2]), self.rtol)
         if verdict is None or verdict < 0:
             return verdict
         if not others:

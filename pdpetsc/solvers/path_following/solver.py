@@ -214,7 +214,7 @@ class PathSolver(SnesSolver):
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
-        converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
+        converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self.rtol)
         unit = self._options.first if of.share else self._options.measure.step
         if converged and not abs(self._missed(values, load)) <= MISSED * unit:
             converged, sought.reason = False, "the measure did not grow by what it should"

@@ -31,7 +31,7 @@ from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.supports import Foundation, PointSupport, RigidRegion
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
-from pdpetsc.declare.tools import Contact
+from pdpetsc.declare.tools import Contact, RigidTool
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
@@ -105,6 +105,7 @@ class Applied:
         self.absorbing: Mask | None = None
         self.viscosity: BulkViscosity | None = None
         self._contacts: set[str] = set()
+        self._loaded_tools: list[RigidTool] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -292,6 +293,13 @@ class Applied:
         cloud = self.body.cloud
         with agreed(cloud.comm):
             condition.tool.check(cloud.dim)
+        if condition.tool.loaded:
+            if any(condition.tool is one for one in self._loaded_tools):
+                raise CaseError(
+                    f"{name} has the loaded tool of another Contact, and would give it a motion of its own. Use one "
+                    f'Contact of both regions: pd.region.Face("+x") | pd.region.Face("+y").'
+                )
+            self._loaded_tools.append(condition.tool)
         assert self.body.surface is not None
         mask = self.body.surface.select(cloud, condition.region, name)
         self._take_name(condition.name)

@@ -288,6 +288,13 @@ def test_loads_that_conflict_are_refused(given, match):
         pd.prepare(pressed(disc(**given)))
 
 
+def test_a_loaded_tool_has_one_contact():
+    tool = disc(force=(None, -20.0))
+    contacts = [pd.Contact(side, tool, name=side) for side in ("+y", "+x")]
+    with pytest.raises(pd.CaseError, match="has the loaded tool of another Contact"):
+        pd.prepare(pressed(tool, conditions=[pd.Clamp("-y"), *contacts]))
+
+
 def test_solvers_that_do_not_move_tools_refuse_loads(tmp_path):
     tool = disc(force=(None, -20.0))
     heavy = disc(force=(None, -20.0), mass=1.0)

@@ -66,9 +66,12 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
 
     If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
 
-    Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Along paths
-    and with damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as
-    Newton converges (Eisenstat1996).
+    Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Behind a
+    limit of the load the tangent is indefinite. MINRES solves it with the positive definite preconditioner of two
+    levels; conjugate gradients would stop.
+
+    With damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as Newton
+    converges (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
@@ -97,7 +100,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults["ksp_pc_side"] = "right"
-    if solver.of_energy and not problem.linear and (problem.damage is None or of_points):
+    if choice.levels and problem.symmetric and not solver.of_energy:
+        defaults["ksp_type"] = "minres"
+    if not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:
         # Conjugate gradients stop at negative curvature. The energy may fall or rise along the direction that they

@@ -82,6 +82,8 @@ class Equilibrium:
     reference : float
         Larger norm of external forces and of reactions at the last check, at most the sum of the forces in the step
         [force].
+    tolerance : float
+        Tolerance of the residual norm at the last check [force].
     reason : str
         Reason of the last check for ending the solve.
 
@@ -116,7 +118,7 @@ class Equilibrium:
         self.norms: list[float] = []
         self.unbalanced: Float | None = None
         self.resisted = np.zeros(fixed.shape)
-        self.reference = 0.0
+        self.reference = self.tolerance = 0.0
         self.reason = ""
         self._reaction = np.zeros(fixed.shape)
         self._loads: Float | None = None
@@ -230,10 +232,10 @@ class Equilibrium:
         self.norms.append(residual)
         if not np.isfinite(residual):
             return int(reason.DIVERGED_FNORM_NAN)
-        tolerance, floor = self._tolerance(x, rtol)
+        self.tolerance, floor = self._tolerance(x, rtol)
         if self._lost:
             return None
-        if residual <= tolerance:
+        if residual <= self.tolerance:
             self.reason = "residual below tolerance"
             return int(reason.CONVERGED_FNORM_RELATIVE)
         if iteration > 0 and residual <= floor and residual > STAGNATION * self.norms[-2]:

@@ -28,6 +28,9 @@ SWEEPS = 1000
 # degradation factor by more than NEAR. Otherwise sweeps and Newton reach the same equilibrium with different damage.
 # Newton is then tried when damage has settled to SETTLED, and accepted if it changes no factor by more than CLOSE.
 NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
+# If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
+# there change by about as much.
+FIRST = 1e-6
 # Reason for accepting an equilibrium that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
@@ -172,14 +175,15 @@ def equilibrium(
     """
     problem, broken = solver.problem, 0
     problem.freeze(False)
-    attempt, result = solver.solve(u, target)
+    has_energy = problem.softens and damage_of(solver).forces_have_energy
+    with solver.loosely(FIRST) if has_energy else nullcontext():
+        attempt, result = solver.solve(u, target)
     if not problem.softens:
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
-    has_energy = damage_of(solver).forces_have_energy
     while not stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
@@ -232,7 +236,8 @@ def followed(
     """Update damage and solve again from ``u`` until neither changes; return also the last change of ``phi``.
 
     A zero-energy control uses the damage of the equilibrium before. Newton's solution is therefore not yet in
-    equilibrium with its own damage. A change of more than ``most`` is not accepted and ends the search.
+    equilibrium with its own damage. If forces have an energy, ``u`` may be an equilibrium of a looser tolerance, and is
+    solved again in any case. A change of more than ``most`` is not accepted and ends the search.
 
     Returns
     -------
@@ -243,12 +248,12 @@ def followed(
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
     damage = damage_of(solver)
-    for _ in range(FOLLOWING):
+    for number in range(FOLLOWING):
         change = damage.fading(solver.state(u))
         if change > most:
             break
         solver.problem.soften(solver.state(u))
-        if change <= LAST:
+        if change <= LAST and (number > 0 or not damage.forces_have_energy):
             break
         u, again = solver.solve(u, target)
         iterations, linear = iterations + again.iterations, linear + again.linear_iterations

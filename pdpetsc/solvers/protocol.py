@@ -354,8 +354,8 @@ class StepSolver(Solver):
         return None
 
     @contextmanager
-    def loosely(self) -> Iterator[None]:
-        """Relax the tolerance to ``LOOSE`` in the ``with`` block, if the solver has a tolerance (collective)."""
+    def loosely(self, rtol: float | None = None) -> Iterator[None]:
+        """Relax the tolerance to ``rtol`` or the solver's choice in the ``with`` block, if it has one (collective)."""
         yield
 
     @abstractmethod

@@ -16,6 +16,8 @@ from pdpetsc.problem.term import Term
 
 # Loads and forces on the body agree if they differ by at most this share of the larger.
 TOLERANCE = 1e-8
+# They need not agree better than this multiple of the tolerance of the particles.
+LOOSER = 10.0
 # Singular values below this share of the largest belong to motions that nothing resists.
 FREE = 1e-10
 # Largest number of doublings and halvings of the way to the first touch.
@@ -92,7 +94,7 @@ class RigidBodies:
         """Return the loaded rigid bodies of a problem; None if there are none."""
         return cls(problem, size) if any(term.rigid is not None for term in problem.terms) else None
 
-    def moved(self, state: State, answer: Callable[[Float], Float]) -> Float | None:
+    def moved(self, state: State, answer: Callable[[Float], Float], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
 
         Parameters
@@ -101,6 +103,8 @@ class RigidBodies:
             An equilibrium of the particles.
         answer : callable
             Solves the tangent at the state for forces (n_rows, dim), and returns displacements (n_rows, dim).
+        rtol : float
+            Relative tolerance of the equilibrium of the particles [-].
 
         Returns
         -------
@@ -110,7 +114,7 @@ class RigidBodies:
         self.objection = ""
         sides = [self._side(term, state) for term in self._terms]
         off, size = self._imbalance(sides, state)
-        if np.all(np.abs(off) <= TOLERANCE * size):
+        if np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size):
             return None
         untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
         if untouched:

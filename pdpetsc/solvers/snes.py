@@ -126,12 +126,12 @@ class SnesSolver(StepSolver):
         return norm * self._scales.force
 
     @contextmanager
-    def loosely(self) -> Iterator[None]:
-        """Relax the tolerances of SNES and its linear solver to ``LOOSE`` in the ``with`` block."""
-        ksp = self.snes.getKSP()
+    def loosely(self, rtol: float | None = None) -> Iterator[None]:
+        """Relax the tolerances of SNES and its linear solver in the ``with`` block, by default to ``LOOSE``."""
+        ksp, loose = self.snes.getKSP(), LOOSE if rtol is None else rtol
         rtol, of_linear = self.rtol, ksp.getTolerances()[0]
-        self.snes.setTolerances(rtol=max(rtol, LOOSE))
-        ksp.setTolerances(rtol=max(of_linear, 0.1 * LOOSE))
+        self.snes.setTolerances(rtol=max(rtol, loose))
+        ksp.setTolerances(rtol=max(of_linear, 0.1 * loose))
         try:
             yield
         finally:
@@ -197,7 +197,7 @@ class SnesSolver(StepSolver):
         sought, ksp = self._equilibrium, self.snes.getKSP()
         sought.update(state)
         ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
-        return self._rigid.moved(state, self._reply)
+        return self._rigid.moved(state, self._reply, self.rtol)
 
     def _reply(self, force: Float) -> Float:
         """Solve the last tangent for forces (n_rows, dim) [force]; return the displacements (n_rows, dim) [length]."""

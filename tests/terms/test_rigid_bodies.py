@@ -288,6 +288,31 @@ def test_loads_that_conflict_are_refused(given, match):
         pd.prepare(pressed(disc(**given)))
 
 
+def test_a_body_that_fails_is_bent_by_a_moment(tmp_path):
+    """Points fail while the moment rises: the angle that was found, prescribed, needs the same moment."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.125)
+    law = pd.PointDamage(pd.softening.Linear(), Gc=2.0, strength=20.0)
+    given = {"material": pd.LinearElastic(E, 0.0, plane="stress"), "damage": law, "steps": 8}
+    found = {}
+
+    class Turn(pd.Quantity):
+        def evaluate(self, solution):
+            term = next(one for one in solution.problem.terms if one.rigid is not None)
+            found[solution.t] = term.rigid.numbers()["turn"](solution.state)
+            return found[solution.t]
+
+    about = (4.0, 0.5)
+    region = pd.RigidRegion("+x", force=(0.0, None), moment=4.5, about=about)
+    history = {"turn": Turn(), "lost": pd.DissipatedEnergy()}
+    loaded = pd.run(strip(region, nodes, history=history, **given), tmp_path / "loaded").history
+    assert loaded["lost"][-1] > 1e-4
+    table = pd.Table(list(found), [angle / found[1.0] for angle in found.values()])
+    history = {"m": pd.ReactionMoment("+x", about), "lost": pd.DissipatedEnergy()}
+    prescribed = pd.RigidRegion("+x", turn=found[1.0], about=about, schedule=table)
+    moved = pd.run(strip(prescribed, nodes, history=history, **given), tmp_path / "moved").history
+    assert moved["m"][-1] == pytest.approx(4.5, rel=0.02)
+
+
 def test_a_loaded_tool_has_one_contact():
     tool = disc(force=(None, -20.0))
     contacts = [pd.Contact(side, tool, name=side) for side in ("+y", "+x")]

@@ -36,6 +36,8 @@ SWEEPS = 100
 BACK = 20
 # Tolerance of the growth of the measure in a solve, over the step.
 MISSED = 0.02
+# Linear solves need not reduce the residual below this share of the tolerance of Newton's method.
+ENOUGH = 0.1
 # Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], and the
 # forces of the last equilibrium [force].
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
@@ -93,8 +95,11 @@ class PathSolver(SnesSolver):
         # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
-        self._bordered = Bordered(self._equilibrium.tangent)
-        self._bordered.solve_in(self.snes.getKSP())
+        # The last converged unknowns, and the change in the last step, of unknowns and load factor, over the growth of
+        # the measure.
+        self._before: Float | None = None
+        self._change: tuple[Float, float] | None = None
+        self._bordered = Bordered(self._equilibrium.tangent, self.snes)
         self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
@@ -177,6 +182,9 @@ class PathSolver(SnesSolver):
                 continue
             if not converged:
                 self.refuse_mechanism(attempt)
+            followed_measure = self._constraint.share == 0.0
+            self._change = ((attempt - u) / size, (self.load - load) / size) if followed_measure else None
+            self._before = attempt
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
@@ -208,8 +216,9 @@ class PathSolver(SnesSolver):
             self._use_tangent()
         sought.resist(self._held)
         self._begun = self.load, sought.resisted
-        self._bordered.put(self._x, u / self._scales.length, self.load)
-        linear = self._iterate(u)
+        linear = self._as_before(u, t)
+        if linear is None:
+            linear = self._iterate_from(u, self.load)
         resting, more = self._rested()
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
@@ -223,6 +232,35 @@ class PathSolver(SnesSolver):
         if converged:
             result = replace(result, negative_pivots=self._pivots())
         return sought.at_prescribed(values), result
+
+    def _as_before(self, u: Float, growth: float) -> int | None:
+        """Run SNES from the extrapolated last step; return the linear iterations, None if that fails.
+
+        At the converged unknowns the tangent is that of unloading. Points that continue to fail have the tangent of
+        further loading at the extrapolated ones.
+        """
+        damage, sought = self.problem.damage, self._equilibrium
+        follows = damage is None or (damage.forces_have_energy and not damage.frozen)
+        if self._change is None or u is not self._before or self._constraint.share != 0.0 or not follows:
+            return None
+        change, of_load = self._change
+        load = self.load + growth * of_load
+        sought.impose(load, *(load * one for one in self._whole))
+        ahead = sought.at_prescribed(u + growth * change)
+        if not self.problem.admissible(self.problem.state(ahead, load)):
+            return None
+        linear = self._iterate_from(ahead, load)
+        if self.snes.getConvergedReason() > 0 or self.stop():
+            return linear
+        sought.reason = ""
+        sought.norms.clear()
+        sought.forget()
+        return None
+
+    def _iterate_from(self, u: Float, load: float) -> int:
+        """Run SNES from unknowns and a load factor; return the linear iterations."""
+        self._bordered.put(self._x, u / self._scales.length, load)
+        return self._iterate(u)
 
     def _use_tangent(self) -> None:
         """Border the new matrices of the tangent."""
@@ -300,6 +338,7 @@ class PathSolver(SnesSolver):
 
     def _aim(self, u: Float, step: float) -> float:
         """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
+        self._bordered.forget()
         self._constraint, by_load = self._measure.constraint(u, self.load)
         if by_load:
             return self._options.first * step / self._options.measure.step
@@ -348,6 +387,7 @@ class PathSolver(SnesSolver):
         column = supports.reduced(self.problem.linearised(state)(self._held) - external)
         along = row.share + float(total(self._comm, float((row.of * self._held).sum())))
         share = self._force / scales.force
+        self._bordered.enough = ENOUGH * sought.tolerance / scales.force
         self._bordered.border(
             np.where(sought.supported, -scales.stiffness * whole, column) / scales.force,
             share * scales.length * supports.reduced(row.of),

@@ -32,6 +32,13 @@ def test_the_pressure_below_a_half_cylinder_converges(tmp_path):
     assert line["peak_over_hertz"] == pytest.approx(1.0, abs=0.005)
 
 
+def test_a_roller_that_turns_freely_rolls_on_rubber(tmp_path):
+    """Friction turns it, and nothing drags: the roller has no moment about its axle."""
+    roller = found("rubber_roller", "n=4", "steps=50", "friction=0.3", "rolls=True", output=tmp_path)
+    assert abs(roller["drag_over_normal"]) < 1e-4
+    assert roller["turned_over_way"] == pytest.approx(1.0, abs=0.03)
+
+
 @pytest.mark.long
 def test_a_ball_has_the_force_the_radius_and_the_pressure_of_hertz(tmp_path):
     ball = found("sphere", "n=5", output=tmp_path)

@@ -51,6 +51,10 @@ class RigidTool(RigidMotion, ABC):
         if len(self.velocity) not in (0, dim):
             raise CaseError(f"{type(self).__name__} has a velocity of {len(self.velocity)} numbers; give {dim}.")
         free = [component is not None for component in self.force] or [False] * dim
+        lacking = [("mass", "force")] if self.mass is not None and not any(free) else []
+        lacking += [("inertia", "moment")] if self.inertia is not None and not self.twisted else []
+        for has, needs in lacking:
+            raise CaseError(f"{type(self).__name__} has {has} without {needs}. Give a {needs}, such as 0.")
         if any(v != 0.0 and not follows for v, follows in zip(self.velocity, free, strict=False)):
             raise CaseError(
                 f"{type(self).__name__} has a velocity in a direction without force. Give a force there, such as 0, or "

@@ -88,8 +88,7 @@ class Problem:
         self.fields: list[SolvedField] = []
         # Cells, expansion and damage do not continue as in the last step.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
-        touches = any(term.stiff and not term.linear for term in terms)
-        self.last_step = LastStep(self) if goes_on and (material_term.has_history or touches) else None
+        self.last_step = LastStep(self) if goes_on and (material_term.has_history or self.touches) else None
         points = material_term.driving_points
         if self.bond_damage is not None and points is not None:
             self.bond_damage.driving_variable.take(points)
@@ -132,6 +131,11 @@ class Problem:
     def stiff(self) -> bool:
         """Return True if a tangent has springs that are many times stiffer than the body (not collective)."""
         return any(term.stiff for term in self.terms)
+
+    @property
+    def touches(self) -> bool:
+        """Return True if there is contact (not collective)."""
+        return any(term.stiff and not term.linear for term in self.terms)
 
     @property
     def constrained(self) -> bool:
@@ -315,7 +319,7 @@ class Problem:
         return found if self.last_step is None else {**found, **self.last_step.arrays()}
 
     def restored(self, t: float) -> None:
-        """Continue from a load parameter, after the arrays of the terms have been read (not collective)."""
+        """Continue from a load parameter, after the arrays of the terms have been read."""
         self._converged = t
         for term in self.terms:
             if term.arrays():
@@ -372,7 +376,11 @@ class Problem:
             field.revert()
 
     def revert_bonds(self) -> None:
-        """Restore the bonds of the last committed state; solved fields keep the current step."""
+        """Restore bonds and rigid bodies of the last committed state; solved fields keep the current step."""
+        for term in self.terms:
+            if term.rigid is not None:
+                term.rigid.revert()
+                term.version += 1
         if self.damage is not None:
             self._bonds_changed(rebuild=self.damage.revert())
 

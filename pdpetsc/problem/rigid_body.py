@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,6 +13,9 @@ from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.discrete.communicator import Comm
 from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.state import State
+
+# Number of load parameters at which loads are compared.
+SAMPLES = 21
 
 
 class RigidBody:
@@ -63,7 +67,7 @@ class RigidBody:
         self._ended_rates, self._half = self._rates.copy(), self._rates[0]
         self.kept = np.tile(self._both, (len(owner), 1))
         self._span = (0.0, 0.0)
-        self._ended = self._restored = False
+        self._ended = False
 
     def motion(self, t: float) -> tuple[Float, Float]:
         """Return rotation (dim, dim) and displacement (dim,) [length] at a load parameter of the step."""
@@ -115,6 +119,16 @@ class RigidBody:
         found = [(self.title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
         return found if self.free.any() else []
 
+    @property
+    def way(self) -> float:
+        """Return the size of the displacement now [length] (not collective)."""
+        return float(np.linalg.norm(self._d[1]))
+
+    @cached_property
+    def largest_load(self) -> Float:
+        """Return the largest loads of the free components at a few load parameters (n_free,) [force]."""
+        return np.asarray(np.abs([self.load(t) for t in np.linspace(0.0, 1.0, SAMPLES)]).max(axis=0))
+
     def load(self, t: float) -> Float:
         """Return the loads of the free components (n_free,) [force], [force length]."""
         return self.declared.load(t, self._dim)[self.free]
@@ -151,12 +165,7 @@ class RigidBody:
             self._R[1] = _rotation(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]])) @ self._R[1]
 
     def start_from(self, begin: float, end: float) -> None:
-        """Begin or repeat the step between two load parameters (collective)."""
-        if self._restored:
-            # A rank without particles of it has read nothing.
-            read = self._comm.allgather(self.kept[0] if len(self.kept) else None)
-            self._take(next(both for both in read if both is not None))
-            self._restored, self._ended = False, True
+        """Begin or repeat the step between two load parameters (not collective)."""
         if self._ended:
             self._d[0], self._R[0], self._rates, self._ended = self._d[1], self._R[1], self._ended_rates.copy(), False
         self._span = (begin, end)
@@ -220,10 +229,11 @@ class RigidBody:
         self._ended = True
 
     def restored(self) -> None:
-        """Continue with the motion of a checkpoint (not collective)."""
-        if len(self.kept):
-            self._take(self.kept[0])
-        self._restored = True
+        """Continue with the motion of a checkpoint."""
+        # A rank without particles of it has read nothing.
+        read = self._comm.allgather(self.kept[0] if len(self.kept) else None)
+        self._take(next(both for both in read if both is not None))
+        self._ended = True
 
     def numbers(self) -> dict[str, Callable[[State], float]]:
         """Return displacement, rotation vector and, of a body with mass, rates for the history, on the first rank.

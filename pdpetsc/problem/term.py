@@ -177,6 +177,13 @@ class Term(ABC):
         """Return the rigid body that the term holds, if its motion follows from a load; else None (not collective)."""
         return None
 
+    def tool_gap(self, state: State) -> float:
+        """Return the smallest distance of a tool from the body [length], by default 0 (collective)."""
+        return 0.0
+
+    def start_friction(self, state: State) -> None:  # noqa: B027
+        """Measure slip from a state in which a tool comes into touch (collective)."""
+
     def tool_displacements(self, t: float) -> Float:
         """Return displacements that describe the motion of a tool (n, dim) [length], by default none."""
         return np.empty((0, 0))
@@ -290,7 +297,7 @@ class Term(ABC):
         return {}
 
     def restored(self) -> None:
-        """Update after the arrays have been read from a checkpoint (not collective)."""
+        """Update after the arrays have been read from a checkpoint."""
         self.version += 1
 
 

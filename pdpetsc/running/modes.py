@@ -64,7 +64,10 @@ class FoundModes(Observer):
         if declared.of == "frequency":
             values, shapes = frequencies(self._case, problem, observed.solver, last.unknowns, last.t, declared.count)
         else:
-            values, shapes = buckling(problem, observed.solver, self._ends, declared.count)
+            # A run that continues a finished one has a single equilibrium.
+            rest = [(np.zeros_like(last.unknowns), 0.0)]
+            ends = self._ends if len(self._ends) > 1 else [*rest, *self._ends]
+            values, shapes = buckling(problem, observed.solver, ends, declared.count)
         self._values = values
         if len(values) < declared.count:
             observed.report.say(f"{len(values)} of {declared.count} modes were found: the load causes no more")

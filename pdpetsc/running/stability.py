@@ -27,10 +27,12 @@ class Stability(Observer):
         if self._case.steps.unstable != "switch":
             return
         wrong = has_no_modes(self._case, start.problem)
-        if not wrong and start.problem.last_step is not None:
+        if not wrong and start.problem.touches:
             wrong = "do not go with contact"
         if wrong:
-            raise CaseError(f'Steps(unstable="switch") follow eigenvectors of the tangent, which {wrong}.')
+            raise CaseError(
+                f"Steps(unstable='switch') needs modes of the tangent, and modes {wrong}. Use unstable='shorten'."
+            )
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
         """Return the number of steps that switched to another branch."""

@@ -127,6 +127,8 @@ class Equilibrium:
         # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
         self._lost = self._loaded = False
+        # Largest displacement of a loaded rigid body [length].
+        self._way = 0.0
         # Whether damage was held, and the number of rebuilds, at the last update of the tangent.
         self._factored_with = True, 0
 
@@ -269,7 +271,7 @@ class Equilibrium:
         values = self.at_prescribed(x)
         change = values - self._start
         diagonal = np.where(self.free, self.tangent.diagonal.reshape(values.shape), 0.0)
-        round_off = diagonal * (np.abs(values) + self.spacing)
+        round_off = diagonal * (np.abs(values) + self.spacing + self._way)
         unstrained = self.problem.force_without_strain(self.t)
         held = np.zeros(1) if unstrained is None else unstrained
         loads = self._loads_at_start if self._loads is None else self._loads
@@ -340,6 +342,17 @@ class Equilibrium:
         self.external = self._loads_at_start
         self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
         return renewed
+
+    def rebalance(self, u: Float, way: float) -> None:
+        """Compute the unbalanced forces at unknowns ``u``, after rigid bodies have moved within the solve.
+
+        ``way`` is the largest displacement of one since the start of the run [length]: distances from it round.
+        """
+        self._way = way
+        state = self.problem.state(u, self.t)
+        force = self.problem.internal_force(state)
+        if force is not None:
+            self.unbalanced = force - self._loads_at_start
 
     def resist(self, change: Float) -> None:
         """Compute the forces against a change of the prescribed unknowns (n_rows, dim) [length] at the start."""

@@ -20,8 +20,11 @@ TOLERANCE = 1e-8
 LOOSER = 10.0
 # Singular values below this share of the largest belong to motions that nothing resists.
 FREE = 1e-10
-# Largest number of doublings and halvings of the way to the first touch.
-TRIALS = 60
+# Share of the load that the body cannot carry, from which nothing holds a rigid body.
+UNHELD = 1e-3
+# Smallest step of a tool towards the body over the size of the body, relative accuracy of its way, and largest number
+# of halvings for it.
+APPROACH, EXACT, TRIALS = 1e-3, 1e-9, 60
 
 
 @dataclass
@@ -94,6 +97,11 @@ class RigidBodies:
         """Return the loaded rigid bodies of a problem; None if there are none."""
         return cls(problem, size) if any(term.rigid is not None for term in problem.terms) else None
 
+    @property
+    def way(self) -> float:
+        """Return the largest displacement of a body since the start of the run [length] (not collective)."""
+        return max(term.rigid.way for term in self._terms if term.rigid is not None)
+
     def moved(self, state: State, answer: Callable[[Float], Float], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
 
@@ -126,9 +134,11 @@ class RigidBodies:
         S, ways = self._stiffness(sides, state, answer)
         scale = np.concatenate([self._lengths(side.rigid) for side in sides])
         step = np.linalg.lstsq(S * scale[:, None] * scale, off * scale, rcond=FREE)[0] * scale
-        left = np.abs(off - S @ step)
-        if np.any(left > 1e-3 * size):
-            self.objection = "nothing holds a rigid body against its load"
+        left = np.abs(off - S @ step) > UNHELD * size
+        if np.any(left):
+            owners = np.repeat(np.arange(len(sides)), [len(side.velocities) for side in sides])
+            title = sides[owners[np.argmax(left)]].rigid.title
+            self.objection = f"nothing holds {title[0].lower()}{title[1:]} against its load"
             return None
         start = 0
         for side in sides:
@@ -181,7 +191,8 @@ class RigidBodies:
         loads, sizes, dt = [], [], state.clock.dt
         for side, forces in zip(sides, most, strict=True):
             load, arm = side.rigid.load(state.t), 1.0 / self._lengths(side.rigid)
-            size = max(float(forces), float(np.max(np.abs(load) / arm, initial=0.0)))
+            # At the end of unloading, forces and load are round-off.
+            size = max(float(forces), float(np.max(side.rigid.largest_load / arm, initial=0.0)))
             if dt > 0.0 and self._inertia is not None:
                 load = load - side.rigid.accelerate(self._inertia.blend, dt)
                 size = max(size, float(np.max(side.rigid.stopping(dt) / arm, initial=0.0)))
@@ -284,29 +295,34 @@ class RigidBodies:
             return False
         along /= size
 
-        def carried(by: float) -> float:
+        def moved(by: float) -> State:
             rigid.move(by * along)
             term.version += 1
-            at = problem.state(state.u, state.t)
-            force = -problem.force_of([term], at)
-            n, y = problem.body.cloud.n_owned, np.zeros_like(state.u)
-            y[:n] = problem.body.cloud.x[:n] + state.u[:n]
-            velocities = rigid.velocities(y, state.t)
-            rigid.move(-by * along)
-            return float(total(problem.body.cloud.comm, np.einsum("kpi,pi->k", velocities, force)) @ along)
+            found = problem.state(state.u, state.t)
+            term.start_friction(found)
+            return problem.state(state.u, state.t)
 
-        low, high = 0.0, 1e-6 * self._size
-        while carried(high) < size:
-            low, high = high, 2.0 * high
-            if high > 2.0 * self._size:
-                rigid.move(0.0 * along)
-                term.version += 1
+        def carried(found: State) -> bool:
+            side = self._side(term, found)
+            return float(total(problem.body.cloud.comm, side.resultants(side.force)) @ along) >= size
+
+        found = moved(0.0)
+        gap, least, way, step = term.tool_gap(found), APPROACH * self._size, 0.0, 0.0
+        most = 2.0 * (max(gap, 0.0) + 2.0 * self._size)
+        while not carried(found):
+            if way > most:
+                moved(-way)
                 return False
+            # The tool moves by its distance at most, so that it does not pass through the body.
+            step = gap if gap > least else max(least, 2.0 * step if gap < 0.0 else 0.0)
+            way, found = way + step, moved(step)
+            gap = term.tool_gap(found)
+        low, high = way - step, way
         for _ in range(TRIALS):
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if carried(middle) >= size else (middle, high)
-            if high - low <= 1e-9 * high:
+            if high - low <= EXACT * high:
                 break
-        rigid.move(high * along)
-        term.version += 1
+            middle = 0.5 * (low + high)
+            found, way = moved(middle - way), middle
+            low, high = (low, middle) if carried(found) else (middle, high)
+        moved(high - way)
         return True

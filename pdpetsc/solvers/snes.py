@@ -174,7 +174,9 @@ class SnesSolver(StepSolver):
                 if moved is not None:
                     sought.reason = ""
                     sought.impose(sought.t)
-                    linear += self._iterate(sought.at_prescribed(moved))
+                    start = sought.at_prescribed(moved)
+                    sought.rebalance(start, self._rigid.way if self._rigid else 0.0)
+                    linear += self._iterate(start)
                     resting = sought.at_rest(self._read(self._x), self.rtol)
                     continue
                 if self._rigid is not None and self._rigid.objection:

@@ -110,6 +110,10 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
 def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver) -> None:
     """Raise CaseError if a solver does not find the motion of a loaded rigid body."""
     if solver is StaticSolver:
+        if rigid.masses is not None:
+            raise CaseError(
+                f"{rigid.title} has a mass and does not move in time. Use Implicit or Explicit, or no mass."
+            )
         return
     if solver not in (ImplicitSolver, ExplicitSolver) or rigid.rows is not None:
         raise CaseError(

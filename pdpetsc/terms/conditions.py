@@ -27,6 +27,7 @@ from pdpetsc.declare.conditions import (
     condition_name,
 )
 from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
+from pdpetsc.declare.motion import RigidMotion
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.supports import Foundation, PointSupport, RigidRegion
@@ -128,6 +129,7 @@ class Applied:
         cloud = self.body.cloud
         with agreed(cloud.comm):
             condition.check(cloud.dim)
+        self._refuse_across_mirrors(condition, name)
         own = np.flatnonzero(select(cloud, region, name)).astype(np.int32)
         rows = np.zeros(cloud.n_rows, dtype=bool)
         rows[own] = True
@@ -140,6 +142,19 @@ class Applied:
         self.displacement(Displacement(region, x, y, z), name)
         if condition.loaded:
             self.following.append(LoadedRegion(rigid, own))
+
+    def _refuse_across_mirrors(self, declared: RigidMotion, name: str) -> None:
+        """Raise CaseError if a rigid body next to a mirror plane may move as its image does not."""
+        dim, planes = self.body.dim, list(self.body.cloud.places.planes)
+        free = [force is not None for force in declared.force] or [False] * dim
+        across = ["xyz"[axis] for axis in planes if free[axis]]
+        if across:
+            raise CaseError(
+                f"{name} has a force in {across[0]}, across a mirror plane, where its image has the opposite one. Give "
+                f"None there, and else the share of the part that is computed."
+            )
+        if planes and declared.twisted:
+            raise CaseError(f"{name} has a moment, and its image in a mirror plane the opposite one. Leave it out.")
 
     def initial_velocity(self, condition: InitialVelocity, name: str) -> None:
         """Set initial velocities."""
@@ -293,6 +308,7 @@ class Applied:
         cloud = self.body.cloud
         with agreed(cloud.comm):
             condition.tool.check(cloud.dim)
+        self._refuse_across_mirrors(condition.tool, name)
         if condition.tool.loaded:
             if any(condition.tool is one for one in self._loaded_tools):
                 raise CaseError(

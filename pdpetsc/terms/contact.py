@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.tools import Contact
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, smallest
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
@@ -119,6 +119,15 @@ class ContactForces(FacetContact):
     def tool_displacements(self, t: float) -> Float:
         """Return the displacements of points that move with the tool, at the facets in the undeformed body."""
         return self._moving.absolute(self._x, np.zeros_like(self._x), t)
+
+    def tool_gap(self, state: State) -> float:
+        """Return the smallest distance of the tool from the facets [length]."""
+        return smallest(self.body.cloud.comm, float(self._gap(state)[0].min(initial=np.inf)))
+
+    def start_friction(self, state: State) -> None:
+        """Measure slip from a state in which the tool comes into touch."""
+        self._slid[:] = self._seen(state)[0]
+        self.version += 1
 
     def tool_forces(self, state: State) -> Float:
         """Return the forces of the tool on the facets (n_facets, dim) [force], unless it rests."""

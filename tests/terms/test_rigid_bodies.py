@@ -68,6 +68,43 @@ def test_a_tool_pressed_by_its_force_slides_as_prescribed(tmp_path):
     assert found["tool_x"][-1] == pytest.approx(0.2 * 20.0, rel=0.05)
 
 
+@pytest.mark.parametrize("gap", [0.1, 1.0, 10.0])
+def test_a_small_tool_does_not_pass_through_the_body(gap, tmp_path):
+    """The way to the first touch is searched in steps of the distance; friction begins at the touch."""
+    ball = pd.RigidSphere((1.0, 1.2 + gap), 0.2, force=(None, -2.0), moment=0.02, about=(1.0, 1.2 + gap))
+    found = pd.run(pressed(ball, 0.5, steps=1), tmp_path).history
+    assert found["tool_y"][-1] == pytest.approx(-2.0, rel=1e-7)
+    assert found["tool_move_y"][-1] == pytest.approx(-gap, abs=0.03)
+
+
+def test_a_tool_and_a_region_are_unloaded(tmp_path):
+    """Where the load ends, forces are round-off, and so is what is left of the load."""
+    up_and_down = pd.Table((0.0, 0.5, 1.0), (0.0, 1.0, 0.0))
+    region = pd.RigidRegion("+x", force=(0.0, 2.0), moment=0.0, about=(4.0, 0.5), schedule=up_and_down)
+    case = strip(region, material=pd.LinearElastic(E, 0.0))
+    found = pd.run(case, tmp_path / "region").history
+    assert found["y"][2] > 0.1
+    assert abs(found["y"][-1]) < 1e-10
+    tool = disc(force=(None, -20.0), schedule=up_and_down)
+    found = pd.run(pressed(tool, 0.3, steps=4), tmp_path / "tool").history
+    assert found["tool_y"] == pytest.approx([0.0, -10.0, -20.0, -10.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({"force": (0.0, -5.0)}, "has a force in x, across a mirror plane"),
+        ({"force": (None, -5.0), "moment": 0.0, "about": (0.0, 3.0)}, "has a moment, and its image"),
+    ],
+)
+def test_what_the_image_in_a_mirror_does_not_do_is_refused(given, match):
+    half = pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.125)
+    tool = pd.RigidSphere((0.0, 3.0), 2.0, **given)
+    conditions = [pd.Roller("-x"), pd.Clamp("-y"), pd.Contact("+y", tool)]
+    with pytest.raises(pd.CaseError, match=match):
+        pd.prepare(pressed(tool, particles=half, conditions=conditions, history={}))
+
+
 def strip(region, nodes=None, steps=4, **changes):
     """Return a strip of 4 x 1 that is clamped at its left side."""
     nodes = pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25) if nodes is None else nodes
@@ -268,7 +305,7 @@ def test_a_column_under_a_free_end_is_unstable_above_its_load(share, tmp_path):
 def test_what_has_no_equilibrium_is_refused(tmp_path):
     with pytest.raises(pd.SolveError, match="touches nothing that carries its load"):
         pd.run(pressed(disc(force=(None, 20.0)), steps=1), tmp_path / "away")
-    with pytest.raises(pd.SolveError, match=r"nothing holds a rigid body|touches nothing"):
+    with pytest.raises(pd.SolveError, match=r"nothing holds the tool|touches nothing"):
         pd.run(pressed(disc(force=(1.0, -20.0)), steps=1), tmp_path / "off")
 
 
@@ -279,6 +316,8 @@ def test_what_has_no_equilibrium_is_refused(tmp_path):
         ({"moment": 1.0, "turn": 1.0, "about": DISC}, "has a turn and a moment"),
         ({"moment": 1.0}, "turns about a point of 2 numbers, not 0"),
         ({"moment": (1.0, 0.0, 0.0), "about": DISC}, "is turned by 3 numbers in 2 dimensions; give a moment"),
+        ({"force": (0.0, 0.0), "inertia": 1.0}, "has inertia without moment"),
+        ({"moment": 0.0, "about": DISC, "mass": 1.0}, "has mass without force"),
         ({"force": (1.0,)}, "is pushed by 1 numbers in 2 dimensions"),
         ({"force": (1.0, 0.0), "schedule": (pd.Ramp(),)}, "has 1 schedules; give one for all, or 2"),
     ],
@@ -336,6 +375,8 @@ def test_solvers_that_do_not_move_tools_refuse_loads(tmp_path):
                 pd.run(pressed(tool, material=material, solver=solver, steps=steps), tmp_path)
     with pytest.raises(pd.CaseError, match="has a load, and preload holds it"):
         pd.run(pressed(heavy, material=material, solver=pd.Explicit(end=1.0, preload=True), steps=pd.Steps()), tmp_path)
+    with pytest.raises(pd.CaseError, match="has a mass and does not move in time"):
+        pd.run(pressed(heavy), tmp_path)
     with pytest.raises(pd.CaseError, match="has a velocity in a direction without force"):
         pd.prepare(pressed(disc(force=(None, 0.0), velocity=(1.0, 0.0), mass=1.0)))
     with pytest.raises(pd.CaseError, match="do not go with one whose motion follows from a load"):

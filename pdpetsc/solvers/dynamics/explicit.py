@@ -254,6 +254,9 @@ class ExplicitSolver(Solver):
         k = np.maximum(k, SOFTEST * largest_of(comm, float(k.max(initial=0.0))))
         half = 0.5 * dt / self._declared.safety
         square = 1.0 / (half**2 + half * inertia.damping_time)
+        square -= 0.0 if self._rigid is None else self._rigid.frequency_squared(rest)
+        if square <= 0.0:
+            raise CaseError("A tool is too light for the least_step of Explicit. Use a smaller one, or a larger mass.")
         inertia.raise_mass(k * largest_frequency(problem, rest, k) ** 2 / square)
 
     def _frequency(self, u: Float, t: float) -> float:

@@ -33,6 +33,8 @@ SLACK = 1.0 + 1e-6
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
 # Reason for no equilibrium with contact.
 UNSETTLED = "the contact does not settle; raise its stiffness, or take smaller steps"
+# Reason for no equilibrium with loaded rigid bodies.
+UNBALANCED = "rigid bodies and their loads do not balance; take smaller steps"
 # A failed solve under loads has run away if it moved this multiple of its first linear response.
 RUNAWAY = 100.0
 # Interpretation of a run-away solve.

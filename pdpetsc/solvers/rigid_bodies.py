@@ -42,7 +42,7 @@ class _Side:
     spun : (n_free, n_rows, dim) float64
         Changes of the forces that turn with the body.
     tangent : Tangent or None
-        Tangent of the contact of a tool; None for a region.
+        Tangent of the contact of a tool; None for a region, and where it is not needed.
     """
 
     rigid: RigidBody
@@ -102,15 +102,16 @@ class RigidBodies:
         """Return the largest displacement of a body since the start of the run [length] (not collective)."""
         return max(term.rigid.way for term in self._terms if term.rigid is not None)
 
-    def moved(self, state: State, answer: Callable[[Float], Float], rtol: float) -> Float | None:
+    def moved(self, state: State, inverse: Callable[[], Callable[[Float], Float]], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
 
         Parameters
         ----------
         state : State
             An equilibrium of the particles.
-        answer : callable
-            Solves the tangent at the state for forces (n_rows, dim), and returns displacements (n_rows, dim).
+        inverse : callable
+            Returns a function that solves the tangent at the state for forces (n_rows, dim), and returns displacements
+            (n_rows, dim).
         rtol : float
             Relative tolerance of the equilibrium of the particles [-].
 
@@ -131,7 +132,7 @@ class RigidBodies:
                 self.objection = f"{rigid.title[0].lower()}{rigid.title[1:]} touches nothing that carries its load"
                 return None
             return state.u.copy()
-        S, ways = self._stiffness(sides, state, answer)
+        S, ways = self._stiffness(sides, state, inverse())
         scale = np.concatenate([self._lengths(side.rigid) for side in sides])
         step = np.linalg.lstsq(S * scale[:, None] * scale, off * scale, rcond=FREE)[0] * scale
         left = np.abs(off - S @ step) > UNHELD * size
@@ -160,7 +161,8 @@ class RigidBodies:
         values = np.linalg.eigvalsh(0.5 * (S + S.T))
         return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
 
-    def _side(self, term: Term, state: State) -> _Side:
+    def _side(self, term: Term, state: State, linear: bool = True) -> _Side:
+        """Return what the body of a term does at a state; without ``linear`` no tangent."""
         rigid, problem = term.rigid, self._problem
         assert rigid is not None
         cloud = problem.body.cloud
@@ -175,7 +177,7 @@ class RigidBodies:
             force = np.where(rigid.rows[:, None], inner - problem.external_force(state), 0.0)
             return _Side(rigid, force, velocities, rigid.spun(force), None)
         force = -problem.force_of([term], state)
-        tangent = Tangent(problem.body, term.linearise(state))
+        tangent = Tangent(problem.body, term.linearise(state)) if linear else None
         return _Side(rigid, force, velocities, rigid.spun(force), tangent)
 
     def _touches(self, side: _Side) -> bool:
@@ -242,7 +244,7 @@ class RigidBodies:
         """Return for each body the loads that its forces on the particles do not balance (n_free,)."""
         comm, found = self._problem.body.cloud.comm, []
         for term in self._terms:
-            side = self._side(term, state)
+            side = self._side(term, state, linear=False)
             found.append(side.rigid.load(state.t) - total(comm, side.resultants(side.force)))
         return found
 
@@ -271,7 +273,7 @@ class RigidBodies:
         """
         problem, most = self._problem, 0.0
         for term in self._terms:
-            side = self._side(term, state)
+            side = self._side(term, state, linear=False)
             rigid, W = side.rigid, side.velocities
             tangent = Tangent(problem.body, term.stiffest(state))
             S = total(problem.body.cloud.comm, np.stack([side.resultants(tangent(one)) for one in W]))
@@ -303,7 +305,7 @@ class RigidBodies:
             return problem.state(state.u, state.t)
 
         def carried(found: State) -> bool:
-            side = self._side(term, found)
+            side = self._side(term, found, linear=False)
             return float(total(problem.body.cloud.comm, side.resultants(side.force)) @ along) >= size
 
         found = moved(0.0)

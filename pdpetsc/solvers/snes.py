@@ -14,7 +14,7 @@ from pdpetsc.petsc.library import forces_iteration, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNSETTLED, Equilibrium, read_options
+from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNBALANCED, UNSETTLED, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
 from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.unique import refuse_mechanism
@@ -164,6 +164,7 @@ class SnesSolver(StepSolver):
             sought.reason = ""
             linear += self._iterate(rest)
             resting = sought.at_rest(self._read(self._x), self.rtol)
+        moved: Float | None = None
         for _ in range(SETTLINGS):
             found = sought.at_prescribed(self._read(self._x))
             if not resting or self.snes.getConvergedReason() <= 0:
@@ -186,20 +187,24 @@ class SnesSolver(StepSolver):
                 objection = self.problem.objection(state)
                 sought.reason = objection or sought.reason
                 return not objection, linear
-            sought.reason = ""
+            moved, sought.reason = None, ""
             linear += self._iterate(found)
             resting = sought.at_rest(self._read(self._x), self.rtol)
-        sought.reason = UNSETTLED
+        sought.reason = UNBALANCED if moved is not None else UNSETTLED
         return False, linear
 
     def _balanced(self, state: State) -> Float | None:
         """Move loaded rigid bodies; return the unknowns to solve from again, None if they are in equilibrium."""
         if self._rigid is None:
             return None
-        sought, ksp = self._equilibrium, self.snes.getKSP()
-        sought.update(state)
-        ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
-        return self._rigid.moved(state, self._reply, self.rtol)
+
+        def reply() -> Callable[[Float], Float]:
+            sought, ksp = self._equilibrium, self.snes.getKSP()
+            sought.update(state)
+            ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
+            return self._reply
+
+        return self._rigid.moved(state, reply, self.rtol)
 
     def _reply(self, force: Float) -> Float:
         """Solve the last tangent for forces (n_rows, dim) [force]; return the displacements (n_rows, dim) [length]."""

@@ -31,7 +31,7 @@ class Stability(Observer):
             wrong = "do not go with contact"
         if wrong:
             raise CaseError(
-                f"Steps(unstable='switch') needs modes of the tangent, and modes {wrong}. Use unstable='shorten'."
+                f'Steps(unstable="switch") needs modes of the tangent, and modes {wrong}. Use unstable="shorten".'
             )
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:

@@ -115,9 +115,8 @@ class RigidBody:
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return title, load parameter and force (dim,) at the end of the load; empty without load (not collective)."""
-        found = [(self.title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
-        return found if self.free.any() else []
+        """Return title, load parameter and force (dim,) at the end of the load (not collective)."""
+        return [(self.title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
 
     @property
     def way(self) -> float:

@@ -146,7 +146,7 @@ class Term(ABC):
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
         """Return name, load parameter and total force (dim,) of each load, for the run record (not collective)."""
-        return []
+        return [] if self.rigid is None else self.rigid.resultants
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:

@@ -88,7 +88,7 @@ class RigidBodies:
 
     def __init__(self, problem: Problem, size: float) -> None:
         self._problem, self._size = problem, size
-        self._terms = [term for term in problem.terms if term.rigid is not None]
+        self._bodies = [(term, term.rigid) for term in problem.terms if term.rigid is not None]
         self._inertia = problem.inertia
         self.objection = ""
 
@@ -100,7 +100,7 @@ class RigidBodies:
     @property
     def way(self) -> float:
         """Return the largest displacement of a body since the start of the run [length] (not collective)."""
-        return max(term.rigid.way for term in self._terms if term.rigid is not None)
+        return max(rigid.way for _, rigid in self._bodies)
 
     def moved(self, state: State, inverse: Callable[[], Callable[[Float], Float]], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
@@ -121,13 +121,13 @@ class RigidBodies:
             Unknowns to solve from again [length]; None if the bodies are in equilibrium, or ``objection`` is not empty.
         """
         self.objection = ""
-        sides = [self._side(term, state) for term in self._terms]
+        sides = [self._side(*body, state) for body in self._bodies]
         off, size = self._imbalance(sides, state)
         if np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size):
             return None
         untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
         if untouched:
-            if not all([self._approach(self._terms[i], state) for i in untouched]):
+            if not all([self._approach(*self._bodies[i], state) for i in untouched]):
                 rigid = sides[untouched[0]].rigid
                 self.objection = f"{rigid.title[0].lower()}{rigid.title[1:]} touches nothing that carries its load"
                 return None
@@ -146,7 +146,7 @@ class RigidBodies:
             n = len(side.velocities)
             side.rigid.move(step[start : start + n])
             start += n
-        for term in self._terms:
+        for term, _ in self._bodies:
             term.version += 1
         return np.asarray(state.u + np.einsum("k,kpi->pi", step, ways))
 
@@ -155,16 +155,15 @@ class RigidBodies:
 
         With the negative pivots of the tangent at held motions they are the negative pivots of the whole.
         """
-        sides = [self._side(term, state) for term in self._terms]
+        sides = [self._side(*body, state) for body in self._bodies]
         scale = np.concatenate([self._lengths(side.rigid) for side in sides])
         S = self._stiffness(sides, state, answer)[0] * scale[:, None] * scale
         values = np.linalg.eigvalsh(0.5 * (S + S.T))
         return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
 
-    def _side(self, term: Term, state: State, linear: bool = True) -> _Side:
+    def _side(self, term: Term, rigid: RigidBody, state: State, linear: bool = True) -> _Side:
         """Return what the body of a term does at a state; without ``linear`` no tangent."""
-        rigid, problem = term.rigid, self._problem
-        assert rigid is not None
+        problem = self._problem
         cloud = problem.body.cloud
         n, y = cloud.n_owned, np.zeros_like(state.u)
         y[:n] = cloud.x[:n] + state.u[:n]
@@ -243,28 +242,25 @@ class RigidBodies:
     def unbalanced(self, state: State) -> list[Float]:
         """Return for each body the loads that its forces on the particles do not balance (n_free,)."""
         comm, found = self._problem.body.cloud.comm, []
-        for term in self._terms:
-            side = self._side(term, state, linear=False)
+        for body in self._bodies:
+            side = self._side(*body, state, linear=False)
             found.append(side.rigid.load(state.t) - total(comm, side.resultants(side.force)))
         return found
 
     def begin(self, state: State) -> None:
         """Set the accelerations at the start of a motion."""
-        for term, off in zip(self._terms, self.unbalanced(state), strict=True):
-            assert term.rigid is not None
-            term.rigid.begin(off)
+        for (_, rigid), off in zip(self._bodies, self.unbalanced(state), strict=True):
+            rigid.begin(off)
 
     def fly(self, dt: float) -> None:
         """Move by a time step of central differences from the last converged step."""
-        for term in self._terms:
-            assert term.rigid is not None
-            term.rigid.fly(self._problem.converged, dt)
+        for _, rigid in self._bodies:
+            rigid.fly(self._problem.converged, dt)
 
     def land(self, state: State, dt: float) -> None:
         """Set the rates at the end of a time step of central differences."""
-        for term, off in zip(self._terms, self.unbalanced(state), strict=True):
-            assert term.rigid is not None
-            term.rigid.land(off, dt)
+        for (_, rigid), off in zip(self._bodies, self.unbalanced(state), strict=True):
+            rigid.land(off, dt)
 
     def frequency_squared(self, state: State) -> float:
         """Return a bound on what the motions add to the largest squared frequency of the body [1 / time^2].
@@ -272,9 +268,9 @@ class RigidBodies:
         The largest eigenvalue of a positive matrix is at most the sum of those of its two diagonal blocks.
         """
         problem, most = self._problem, 0.0
-        for term in self._terms:
-            side = self._side(term, state, linear=False)
-            rigid, W = side.rigid, side.velocities
+        for term, rigid in self._bodies:
+            side = self._side(term, rigid, state, linear=False)
+            W = side.velocities
             tangent = Tangent(problem.body, term.stiffest(state))
             S = total(problem.body.cloud.comm, np.stack([side.resultants(tangent(one)) for one in W]))
             assert rigid.masses is not None
@@ -282,13 +278,12 @@ class RigidBodies:
             most = max(most, float(np.linalg.eigvalsh(0.5 * root[:, None] * (S + S.T) * root).max()))
         return most
 
-    def _approach(self, term: Term, state: State) -> bool:
+    def _approach(self, term: Term, rigid: RigidBody, state: State) -> bool:
         """Move a tool that touches nothing along its force until the body, held in place, carries it.
 
         Return True if it does.
         """
-        rigid, problem = term.rigid, self._problem
-        assert rigid is not None
+        problem = self._problem
         n_moves = np.count_nonzero(rigid.free[: problem.dim])
         load = rigid.load(state.t)
         along = np.where(np.arange(len(load)) < n_moves, load, 0.0)
@@ -305,7 +300,7 @@ class RigidBodies:
             return problem.state(state.u, state.t)
 
         def carried(found: State) -> bool:
-            side = self._side(term, found, linear=False)
+            side = self._side(term, rigid, found, linear=False)
             return float(total(problem.body.cloud.comm, side.resultants(side.force)) @ along) >= size
 
         found = moved(0.0)

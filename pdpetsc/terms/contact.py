@@ -170,11 +170,6 @@ class ContactForces(FacetContact):
         """Return the tool if it is loaded (not collective)."""
         return self._moving if self._tool.loaded else None
 
-    @property
-    def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, load parameter and force of a loaded tool (not collective)."""
-        return self._moving.resultants
-
     def start_from(self, state: State) -> None:
         """Continue with tractions and motion at the end of the last step."""
         self._moving.start_from(state.clock.before, state.t)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import LocalIndex
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State
@@ -29,11 +29,6 @@ class LoadedRegion(Term):
     def rigid(self) -> RigidBody:
         """Return the region (not collective)."""
         return self._rigid
-
-    @property
-    def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, load parameter and force (not collective)."""
-        return self._rigid.resultants
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return an empty list: the term has no forces."""

@@ -199,12 +199,14 @@ def test_the_stiffness_of_motions_is_the_derivative_of_the_resultants(friction, 
             rigid.move(by)
         contact.version += 1
         state = problem.state(problem.supports.completed(u, problem.supports.prescribed(t)), t)
-        sides = [bodies._side(term, state) for term in terms]
+        sides = [bodies._side(term, term.rigid, state) for term in terms]
         return np.concatenate([side.resultants(side.force) for side in sides])
 
     state = problem.state(problem.supports.completed(u, problem.supports.prescribed(t)), t)
     answers = iter(ways)
-    S, found = bodies._stiffness([bodies._side(term, state) for term in terms], state, lambda force: next(answers))
+    S, found = bodies._stiffness(
+        [bodies._side(term, term.rigid, state) for term in terms], state, lambda force: next(answers)
+    )
     kept = [(term.rigid._d.copy(), term.rigid._R.copy()) for term in terms]
     h = 1e-6
     for k in range(6):

@@ -22,7 +22,7 @@ from tests.commands import ROOT, command
 
 # How many draws are run in this process and in processes: the same ones on any machine, whatever else it does.
 INSIDE, OUTSIDE = 20, 4
-MANY_INSIDE, MANY_OUTSIDE = 50, 10
+MANY_INSIDE, MANY_OUTSIDE = 30, 6
 # One run of a few particles, on a busy machine [s].
 SOON = 45.0
 

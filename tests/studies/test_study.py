@@ -727,7 +727,7 @@ def test_parameters_are_found_again_from_a_noisy_closed_form(tmp_path, rng):
     rows = np.column_stack([u, tensile_force(u, **truth) + rng.normal(0.0, 0.05, len(u))])
     np.savetxt(tmp_path / "measured.csv", rows, delimiter=",", header="u,force", comments="")
     (tmp_path / "bar.py").write_text(BAR)
-    words = ("fit", tmp_path / "bar.py", "E=500:3000", "yield_stress=1:30", "H=10:1000:log", "--to")
+    words = ("fit", tmp_path / "bar.py", "E=700:1500", "yield_stress=4:20", "H=30:300:log", "--to")
     words = (
         *words,
         tmp_path / "measured.csv",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.conditions import evaluated
 from pdpetsc.declare.schedule import Ramp, Schedule
 from pdpetsc.declared import Declared, Finite
@@ -69,6 +69,11 @@ class RigidMotion(Declared):
     def loaded(self) -> bool:
         """Return True if a part of the motion follows from a load."""
         return self.twisted or any(component is not None for component in self.force)
+
+    def free(self, dim: int) -> Mask:
+        """Return which components of displacement and rotation follow from a load (dim + rotations,)."""
+        pushed = [component is not None for component in self.force] or [False] * dim
+        return np.array(pushed + [self.twisted] * ROTATIONS[dim], dtype=bool)
 
     @property
     def rests(self) -> bool:

@@ -52,7 +52,7 @@ class Steps(Declared):
         the factorisation of a direct linear solver counts them. ``warn`` continues with a warning. ``shorten`` treats
         the step as failed, so that the run ends within the smallest step of the critical load. ``refuse`` ends the run.
         ``switch`` moves an elastic body along the unstable eigenvector of its tangent to a stable equilibrium under the
-        same load, such as that of a bent column, and continues from there; if there is none, it shortens the step. The
+        same load, for example from a straight column to a bent one. If it finds none, the step is shortened. The
         mean displacement of the eigenvector is positive. All but ``warn`` end a run whose pivots are not counted: the
         solver is iterative, the tangent not symmetric, or damage was held during a jump.
     plastic_growth : float, optional

@@ -50,12 +50,12 @@ class RigidTool(RigidMotion, ABC):
         super().check(dim)
         if len(self.velocity) not in (0, dim):
             raise CaseError(f"{type(self).__name__} has a velocity of {len(self.velocity)} numbers; give {dim}.")
-        free = [component is not None for component in self.force] or [False] * dim
-        lacking = [("mass", "force")] if self.mass is not None and not any(free) else []
+        pushed = self.free(dim)[:dim]
+        lacking = [("mass", "force")] if self.mass is not None and not pushed.any() else []
         lacking += [("inertia", "moment")] if self.inertia is not None and not self.twisted else []
         for has, needs in lacking:
             raise CaseError(f"{type(self).__name__} has {has} without {needs}. Give a {needs}, such as 0.")
-        if any(v != 0.0 and not follows for v, follows in zip(self.velocity, free, strict=False)):
+        if any(v != 0.0 and not follows for v, follows in zip(self.velocity, pushed, strict=False)):
             raise CaseError(
                 f"{type(self).__name__} has a velocity in a direction without force. Give a force there, such as 0, or "
                 f"prescribe the motion with move."
@@ -63,8 +63,7 @@ class RigidTool(RigidMotion, ABC):
 
     def masses(self, dim: int) -> Float | None:
         """Return mass and moment of inertia by component (dim + rotations,); None unless every load has its mass."""
-        pushed = any(component is not None for component in self.force)
-        if (pushed and self.mass is None) or (self.twisted and self.inertia is None):
+        if (self.free(dim)[:dim].any() and self.mass is None) or (self.twisted and self.inertia is None):
             return None
         return np.array([self.mass or 1.0] * dim + [self.inertia or 1.0] * ROTATIONS[dim])
 

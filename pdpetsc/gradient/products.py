@@ -333,7 +333,7 @@ class FacetProduct(Product):
         return True
 
     def one_by_one(self) -> RankOneProduct:
-        """Return the same product as a sum of stencils for one ``a`` only, which have one vector for each member."""
+        """Return the same product as a sum of stencils, each for a single ``a`` and with one vector per member."""
         of, r, n = self._stencils, self._h.shape[1], len(self._stencils.owner)
         entry, ptr = entries_of(of.point_ptr, np.repeat(np.arange(n), r))
         which = np.repeat(np.tile(np.arange(r), n), np.diff(ptr))

@@ -19,6 +19,7 @@ from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.solved_field import SolvedField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
@@ -182,6 +183,11 @@ class Problem:
         terms = [term for term in self.terms if not (term.load or term.of_solver)]
         return [term for term in terms if term.works or type(term).energy is Term.energy]
 
+    @property
+    def rigid_bodies(self) -> list[tuple[Term, RigidBody]]:
+        """Return the loaded rigid bodies, each with its term (not collective)."""
+        return [(term, term.rigid) for term in self.terms if term.rigid is not None]
+
     def tool_forces(self, state: State) -> list[Float]:
         """Return the forces of moving tools at a state, by term."""
         return [term.tool_forces(state) for term in self._with_tools]
@@ -324,6 +330,8 @@ class Problem:
         for term in self.terms:
             if term.arrays():
                 term.restored()
+        for _, rigid in self.rigid_bodies:
+            rigid.restored()
         if self.inertia is not None:
             self.inertia.restored_at(t)
 
@@ -336,12 +344,16 @@ class Problem:
             term.before_commit(state)
         for term in self.terms:
             term.commit(state)
+        for _, rigid in self.rigid_bodies:
+            rigid.commit()
         if self.last_step is not None:
             self.last_step.commit(state)
         self._converged = state.t
 
     def start_from(self, state: State) -> None:
         """Prepare the terms for solves or time steps that start from a state."""
+        for _, rigid in self.rigid_bodies:
+            rigid.start_from(state.clock.before, state.t)
         for term in self.terms:
             term.start_from(state)
 
@@ -377,10 +389,9 @@ class Problem:
 
     def revert_bonds(self) -> None:
         """Restore bonds and rigid bodies of the last committed state; solved fields keep the current step."""
-        for term in self.terms:
-            if term.rigid is not None:
-                term.rigid.revert()
-                term.version += 1
+        for term, rigid in self.rigid_bodies:
+            rigid.revert()
+            term.version += 1
         if self.damage is not None:
             self._bonds_changed(rebuild=self.damage.revert())
 

@@ -22,7 +22,7 @@ class RigidBody:
     """Store the motion of a rigid tool or region.
 
     A point X moves to ``R (X - c) + c + d`` with ``c = about``. Components of d with a force, and R with a moment, are
-    found by solvers (``RigidEquilibrium``); they move on linearly within a step.
+    found by solvers (``RigidBodies``); they move on linearly within a step.
 
     Parameters
     ----------
@@ -54,8 +54,7 @@ class RigidBody:
     ) -> None:
         self.declared, self.rows, self.title = declared, rows, title
         self._comm, self._dim = comm, dim
-        forces = [force is not None for force in declared.force] or [False] * dim
-        self.free: Mask = np.array(forces + [declared.twisted] * ROTATIONS[dim], dtype=bool)
+        self.free = declared.free(dim)
         self._about = np.asarray(declared.about, dtype=float) if declared.turns else np.zeros(dim)
         # Displacement and rotation at the start of the step and now; for each owner those of the last converged step.
         self._d, self._R = np.zeros((2, dim)), np.stack([np.eye(3), np.eye(3)])

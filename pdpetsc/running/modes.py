@@ -36,13 +36,14 @@ class FoundModes(Observer):
         self._case, self._declared = case, declared
         self._values: list[float] = []
         self._response: dict[str, float] = {}
-        # Unknowns and load parameter of the last two equilibria; at the beginning those of the start.
+        # Unknowns and load parameter of the last two equilibria; before the start the body is undeformed.
         self._ends: list[tuple[Float, float]] = []
 
     def begin(self, observed: Observed) -> None:
         """Store the state from which the run starts."""
         super().begin(observed)
-        self._ends = [(observed.last.unknowns, observed.last.t)]
+        last = observed.last
+        self._ends = [(np.zeros_like(last.unknowns), 0.0), (last.unknowns, last.t)]
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
         """Store the state of a converged step."""
@@ -64,10 +65,7 @@ class FoundModes(Observer):
         if declared.of == "frequency":
             values, shapes = frequencies(self._case, problem, observed.solver, last.unknowns, last.t, declared.count)
         else:
-            # A run that continues a finished one has a single equilibrium.
-            rest = [(np.zeros_like(last.unknowns), 0.0)]
-            ends = self._ends if len(self._ends) > 1 else [*rest, *self._ends]
-            values, shapes = buckling(problem, observed.solver, ends, declared.count)
+            values, shapes = buckling(problem, observed.solver, self._ends, declared.count)
         self._values = values
         if len(values) < declared.count:
             observed.report.say(f"{len(values)} of {declared.count} modes were found: the load causes no more")
@@ -132,7 +130,7 @@ def has_no_modes(case: Case, problem: Problem) -> str:
         return "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     if not problem.symmetric:
         return "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
-    if any(term.rigid is not None for term in problem.terms):
+    if problem.rigid_bodies:
         return "hold rigid bodies where they are, and do not go with one whose motion follows from a load"
     if not isinstance(case.solver, Newton):
         return "need the tangent of load steps: let the solver be Newton()"

@@ -142,7 +142,7 @@ class _Push:
         self._force = problem.supports.reduced(self._c)
 
     def over(self, pivots: int) -> tuple[Float, StepResult] | None:
-        """Return the first equilibrium with fewer negative pivots and its outcome; None if there is none."""
+        """Return the first equilibrium with fewer negative pivots and its outcome, or None."""
         solver, sought = self._solver, self._sought
         v, at, ahead, step = self._u, 0.0, self._mode, sought.smallest_spacing
         while (step := min(step, sought.size - at)) >= LEAST * sought.smallest_spacing and not solver.stop():

@@ -69,8 +69,6 @@ class Equilibrium:
         Load parameter of the current solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
         Prescribed unknowns at that load parameter [length], and loads at the last evaluation of the residual [force].
-    size : float
-        Size of the body [length].
     scales : Scales
         Units of displacements, forces and tangent in PETSc.
     tangent : PetscTangent

@@ -39,8 +39,6 @@ class _Side:
         Its forces on the particles [force].
     velocities : (n_free, n_rows, dim) float64
         Motions of the particles with the body.
-    spun : (n_free, n_rows, dim) float64
-        Changes of the forces that turn with the body.
     tangent : Tangent or None
         Tangent of the contact of a tool; None for a region, and where it is not needed.
     """
@@ -48,18 +46,17 @@ class _Side:
     rigid: RigidBody
     force: Float
     velocities: Float
-    spun: Float
     tangent: Tangent | None
 
     def resultants(self, force: Float) -> Float:
         """Return force and moment, free components only, of forces on this rank (n_free,)."""
         return np.asarray(np.einsum("kpi,pi->k", self.velocities, force))
 
-    def column(self, k: int) -> Float:
-        """Return the change of the residual with motion ``k`` of a tool, the body held (n_rows, dim)."""
+    def columns(self) -> Float:
+        """Return the change of the residual with the motions of a tool, the body held (n_free, n_rows, dim)."""
         if self.tangent is None:
-            return np.zeros_like(self.force)
-        return np.asarray(-self.tangent(self.velocities[k]) - self.spun[k])
+            return np.zeros_like(self.velocities)
+        return -np.stack([self.tangent(one).copy() for one in self.velocities]) - self.rigid.spun(self.force)
 
 
 class RigidBodies:
@@ -88,14 +85,14 @@ class RigidBodies:
 
     def __init__(self, problem: Problem, size: float) -> None:
         self._problem, self._size = problem, size
-        self._bodies = [(term, term.rigid) for term in problem.terms if term.rigid is not None]
+        self._bodies = problem.rigid_bodies
         self._inertia = problem.inertia
         self.objection = ""
 
     @classmethod
     def of(cls, problem: Problem, size: float = 1.0) -> RigidBodies | None:
         """Return the loaded rigid bodies of a problem; None if there are none."""
-        return cls(problem, size) if any(term.rigid is not None for term in problem.terms) else None
+        return cls(problem, size) if problem.rigid_bodies else None
 
     @property
     def way(self) -> float:
@@ -162,7 +159,7 @@ class RigidBodies:
         return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
 
     def _side(self, term: Term, rigid: RigidBody, state: State, linear: bool = True) -> _Side:
-        """Return what the body of a term does at a state; without ``linear`` no tangent."""
+        """Return the forces and velocities of a body at a state, and its tangent if ``linear``."""
         problem = self._problem
         cloud = problem.body.cloud
         n, y = cloud.n_owned, np.zeros_like(state.u)
@@ -174,10 +171,10 @@ class RigidBodies:
             inner = problem.internal_force(state)
             assert inner is not None
             force = np.where(rigid.rows[:, None], inner - problem.external_force(state), 0.0)
-            return _Side(rigid, force, velocities, rigid.spun(force), None)
+            return _Side(rigid, force, velocities, None)
         force = -problem.force_of([term], state)
         tangent = Tangent(problem.body, term.linearise(state)) if linear else None
-        return _Side(rigid, force, velocities, rigid.spun(force), tangent)
+        return _Side(rigid, force, velocities, tangent)
 
     def _touches(self, side: _Side) -> bool:
         """Return True if a body has forces on the particles, or is a region."""
@@ -212,9 +209,8 @@ class RigidBodies:
         supports, tangent = problem.supports, problem.linearised(state)
         ways, columns = [], []
         for own in sides:
-            for k, carried in enumerate(own.velocities):
+            for k, (carried, held) in enumerate(zip(own.velocities, own.columns(), strict=True)):
                 shift = carried if own.rigid.rows is not None else np.zeros_like(carried)
-                held = own.column(k)
                 du = supports.completed(answer(-supports.reduced(tangent(shift) + held))) + shift
                 change = tangent(du) + held
                 found = []
@@ -229,8 +225,7 @@ class RigidBodies:
                     moved = du.copy()
                     if side is own and k < np.count_nonzero(side.rigid.free[: problem.dim]):
                         moved -= carried
-                    arms = np.concatenate([np.zeros((problem.dim, *moved.shape)), side.rigid.turned(moved)])
-                    found.append(side.resultants(df) + np.einsum("kpi,pi->k", arms[side.rigid.free], side.force))
+                    found.append(side.resultants(df) + np.einsum("kpi,pi->k", side.rigid.spun(moved), side.force))
                 ways.append(du)
                 columns.append(np.concatenate(found))
         S = np.stack([total(problem.body.cloud.comm, column) for column in columns], axis=1)
@@ -240,11 +235,14 @@ class RigidBodies:
         return S, np.stack(ways)
 
     def unbalanced(self, state: State) -> list[Float]:
-        """Return for each body the loads that its forces on the particles do not balance (n_free,)."""
-        comm, found = self._problem.body.cloud.comm, []
-        for body in self._bodies:
-            side = self._side(*body, state, linear=False)
-            found.append(side.rigid.load(state.t) - total(comm, side.resultants(side.force)))
+        """Return for each tool the loads that its forces on the particles do not balance (n_free,)."""
+        cloud, found = self._problem.body.cloud, []
+        for term, rigid in self._bodies:
+            force = -self._problem.force_of([term], state)[: cloud.n_owned]
+            # Only a few particles touch the tool.
+            rows = np.flatnonzero(force.any(axis=1))
+            velocities = rigid.velocities(cloud.x[rows] + state.u[rows], state.t)
+            found.append(rigid.load(state.t) - total(cloud.comm, np.einsum("kpi,pi->k", velocities, force[rows])))
         return found
 
     def begin(self, state: State) -> None:

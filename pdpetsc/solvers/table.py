@@ -81,9 +81,8 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective)."""
     solver_of(problem, declared).refuse(problem)
-    for term in problem.terms:
-        if term.rigid is not None:
-            _refuse_load(term.rigid, solver_of(problem, declared), declared)
+    for _, rigid in problem.rigid_bodies:
+        _refuse_load(rigid, solver_of(problem, declared), declared)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(

@@ -145,8 +145,7 @@ class Applied:
 
     def _refuse_across_mirrors(self, declared: RigidMotion, name: str) -> None:
         """Raise CaseError if a rigid body next to a mirror plane may move as its image does not."""
-        dim, planes = self.body.dim, list(self.body.cloud.places.planes)
-        free = [force is not None for force in declared.force] or [False] * dim
+        planes, free = list(self.body.cloud.places.planes), declared.free(self.body.dim)
         across = ["xyz"[axis] for axis in planes if free[axis]]
         if across:
             raise CaseError(

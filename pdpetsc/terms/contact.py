@@ -162,7 +162,6 @@ class ContactForces(FacetContact):
     def commit(self, state: State) -> None:
         """Store tangential tractions, multipliers and displacements; raise SolveError if the tool is too deep."""
         super().commit(state)
-        self._moving.commit()
         self._slid_end[:] = self._seen(state)[0]
 
     @property
@@ -170,23 +169,8 @@ class ContactForces(FacetContact):
         """Return the tool if it is loaded (not collective)."""
         return self._moving if self._tool.loaded else None
 
-    def start_from(self, state: State) -> None:
-        """Continue with tractions and motion at the end of the last step."""
-        self._moving.start_from(state.clock.before, state.t)
-        super().start_from(state)
-
     def _step_from(self, state: State) -> None:
         self._slid[:] = self._slid_end
-
-    def revert_multipliers(self) -> None:
-        """Restore multipliers and motion of the last converged step."""
-        self._moving.revert()
-        super().revert_multipliers()
-
-    def restored(self) -> None:
-        """Continue with multipliers, tractions and motion of a checkpoint."""
-        super().restored()
-        self._moving.restored()
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return multipliers, and tractions and displacements of friction, at the last converged step."""

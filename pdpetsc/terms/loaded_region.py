@@ -34,22 +34,6 @@ class LoadedRegion(Term):
         """Return an empty list: the term has no forces."""
         return []
 
-    def start_from(self, state: State) -> None:
-        """Continue with the motion at the end of the last step."""
-        self._rigid.start_from(state.clock.before, state.t)
-
-    def revert_multipliers(self) -> None:
-        """Return to the motion of the last converged step."""
-        self._rigid.revert()
-
-    def commit(self, state: State) -> None:
-        """Keep the motion of a converged step."""
-        self._rigid.commit()
-
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the motion at the last converged step."""
         return {"rigid": KeptArray(self._owner, self._rigid.kept)}
-
-    def restored(self) -> None:
-        """Continue with the motion of a checkpoint."""
-        self._rigid.restored()

@@ -17,21 +17,43 @@ from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @compiled
-def direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
-    """Write the direction of bond ``ij`` into ``n``; return its reference and its current length."""
-    reference = 0.0
-    current = 0.0
-    for m in range(n.size):
-        xi = x[j, m] - x[i, m]
-        y = xi + finite * (u[j, m] - u[i, m])
-        n[m] = y
-        reference += xi * xi
-        current += y * y
-    current = np.sqrt(current)
+def difference(i, j, u, dim):  # type: ignore[no-untyped-def]
+    """Return the three components of ``u_j - u_i``, those beyond ``dim`` 0."""
+    second, third = 0.0, 0.0
+    if dim > 1:
+        second = u[j, 1] - u[i, 1]
+    if dim > 2:
+        third = u[j, 2] - u[i, 2]
+    return u[j, 0] - u[i, 0], second, third
+
+
+@compiled
+def direction(i, j, x, u, dim, finite):  # type: ignore[no-untyped-def]
+    """Return the three components of the direction of bond ``ij``, its reference and its current length.
+
+    They are numbers, because an array would be written to memory and read again for every bond.
+    """
+    n_0, n_1, n_2 = difference(i, j, x, dim)
+    reference = np.sqrt(n_0 * n_0 + n_1 * n_1 + n_2 * n_2)
+    current = reference
+    if finite:
+        eta_0, eta_1, eta_2 = difference(i, j, u, dim)
+        n_0, n_1, n_2 = n_0 + eta_0, n_1 + eta_1, n_2 + eta_2
+        current = np.sqrt(n_0 * n_0 + n_1 * n_1 + n_2 * n_2)
     if current > 0.0:
-        for m in range(n.size):
-            n[m] /= current
-    return np.sqrt(reference), current
+        inverse = 1.0 / current
+        n_0, n_1, n_2 = n_0 * inverse, n_1 * inverse, n_2 * inverse
+    return n_0, n_1, n_2, reference, current
+
+
+@compiled
+def add_to(f, i, value_0, value_1, value_2, dim):  # type: ignore[no-untyped-def]
+    """Add a vector of three components, those beyond ``dim`` 0, to row ``i`` of ``f``."""
+    f[i, 0] += value_0
+    if dim > 1:
+        f[i, 1] += value_1
+    if dim > 2:
+        f[i, 2] += value_2
 
 
 @lru_cache
@@ -57,21 +79,18 @@ def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def elongation(indptr, neighbours, x, u, e):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
         least = np.inf
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                reference, current = direction(i, j, x, u, finite, n)
+                n_0, n_1, n_2, reference, current = direction(i, j, x, u, dim, finite)
                 if current < least or np.isnan(current):
                     least = current
                 if finite:
                     e[b] = current - reference
                 else:
-                    value = 0.0
-                    for m in range(dim):
-                        value += n[m] * (u[j, m] - u[i, m])
-                    e[b] = value
+                    eta_0, eta_1, eta_2 = difference(i, j, u, dim)
+                    e[b] = n_0 * eta_0 + n_1 * eta_1 + n_2 * eta_2
         return least
 
     return elongation
@@ -83,19 +102,14 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def force(indptr, neighbours, x, u, tension, f):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
-        centre = np.empty(dim)
         for i in range(indptr.size - 1):
-            centre[:] = 0.0
+            own_0, own_1, own_2 = 0.0, 0.0, 0.0
             for b in range(indptr[i], indptr[i + 1]):
-                j = neighbours[b]
-                direction(i, j, x, u, finite, n)
-                for m in range(dim):
-                    value = tension[b] * n[m]
-                    f[j, m] += value
-                    centre[m] -= value
-            for m in range(dim):
-                f[i, m] += centre[m]
+                j, t = neighbours[b], tension[b]
+                n_0, n_1, n_2, _, _ = direction(i, j, x, u, dim, finite)
+                add_to(f, j, t * n_0, t * n_1, t * n_2, dim)
+                own_0, own_1, own_2 = own_0 - t * n_0, own_1 - t * n_1, own_2 - t * n_2
+            add_to(f, i, own_0, own_1, own_2, dim)
 
     return force
 
@@ -113,14 +127,14 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     def rows(layout, ends, x, u, stiffness, tension, diag, off):  # type: ignore[no-untyped-def]
         behind, signs, entry_ptr, entries = layout.behind, layout.signs, layout.entry_ptr, layout.entries
         slot = np.zeros(entry_ptr.size, np.int32)
-        n = np.empty(dim)
+        n = np.empty(3)
         blocks = np.empty((widest_row(layout), dim, dim))
         for row in range(layout.diag_ptr.size - 1):
             blocks[: find_slots(layout, row, slot)] = 0.0
             a = layout.first + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
                 b = layout.entry_point[e]
-                _, current = direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
+                n[0], n[1], n[2], _, current = direction(ends[2 * b], ends[2 * b + 1], x, u, dim, finite)
                 turning = finite * tension[b] / current
                 for side in range(2):
                     other = ends[entries[e] ^ side]

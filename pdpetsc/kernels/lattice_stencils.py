@@ -418,57 +418,71 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
 
 
 @compiled
-def stretched(e, cell, steps, xi, u, finite, y):  # type: ignore[no-untyped-def]
-    """Write ``y = xi + eta`` of entry e of a cell, or ``xi`` unless ``finite``; return ``|y|^2``."""
-    square = 0.0
-    for m in range(y.size):
-        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
-        square += y[m] * y[m]
-    return square
+def elongated(e, cell, steps, xi, reference, u, dim, finite):  # type: ignore[no-untyped-def]
+    """Return the elongation of entry e of a cell, and three components of ``xi + eta``, or ``xi`` unless ``finite``."""
+    other = cell + steps[e]
+    y_0, y_1, y_2 = xi[e, 0], 0.0, 0.0
+    eta_0, eta_1, eta_2 = u[0, other] - u[0, cell], 0.0, 0.0
+    if dim > 1:
+        y_1, eta_1 = xi[e, 1], u[1, other] - u[1, cell]
+    if dim > 2:
+        y_2, eta_2 = xi[e, 2], u[2, other] - u[2, cell]
+    if finite:
+        y_0, y_1, y_2 = y_0 + eta_0, y_1 + eta_1, y_2 + eta_2
+        return np.sqrt(y_0 * y_0 + y_1 * y_1 + y_2 * y_2) - reference[e], y_0, y_1, y_2
+    return (eta_0 * y_0 + eta_1 * y_1 + eta_2 * y_2) / reference[e], y_0, y_1, y_2
 
 
 @compiled
-def bond_block(e, cell, steps, xi, reference, k, u, finite, y, block):  # type: ignore[no-untyped-def]
-    """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only if ``finite``."""
-    square = stretched(e, cell, steps, xi, u, finite, y)
-    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
-    for m in range(y.size):
-        for o in range(y.size):
+def bond_block(e, cell, steps, xi, reference, k, u, dim, finite, y, block):  # type: ignore[no-untyped-def]
+    """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only if ``finite``; y is (3,)."""
+    elongation, y[0], y[1], y[2] = elongated(e, cell, steps, xi, reference, u, dim, finite)
+    square = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
+    turning = finite * k[e] * elongation / np.sqrt(square)
+    for m in range(dim):
+        for o in range(dim):
             block[m, o] = (k[e] - turning) * y[m] * y[o] / square
         block[m, m] += turning
 
 
 @lru_cache
-def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``sums(..., energy, moment)`` of the particles in rows.
-
-    Writes ``1/2 sum_j k e^2`` (n_owned,) and ``sum_j t n (x) xi`` (n_owned, dim, dim) of those particles.
-    """
+def rows_bond_energy_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``energy(..., energies)``: writes ``1/2 sum_j k e^2`` (n_owned,) of the particles in rows."""
 
     @compiled
-    def sums(  # type: ignore[no-untyped-def]
-        starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energy, moment
-    ):
-        y = np.empty(dim)
+    def energy(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energies):  # type: ignore[no-untyped-def]
+        for q in range(starts.size):
+            for cell in range(starts[q], starts[q] + lengths[q]):
+                value = 0.0
+                for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                    elongation, _, _, _ = elongated(e, cell, steps, xi, reference, u, dim, finite)
+                    value += 0.5 * k[e] * elongation * elongation
+                energies[at[cell]] = value
+
+    return energy
+
+
+@lru_cache
+def rows_bond_moments_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``moments(..., moment)``: writes ``sum_j t n (x) xi`` (n_owned, dim, dim) of the particles in rows."""
+
+    @compiled
+    def moments(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, moment):  # type: ignore[no-untyped-def]
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
-                energy[i] = 0.0
                 moment[i] = 0.0
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
-                    current = np.sqrt(stretched(e, cell, steps, xi, u, finite, y))
-                    elongation = current - reference[e]
-                    if not finite:
-                        elongation = 0.0
-                        for m in range(dim):
-                            elongation += (u[m, cell + steps[e]] - u[m, cell]) * xi[e, m] / reference[e]
-                    energy[i] += 0.5 * k[e] * elongation * elongation
-                    factor = k[e] * elongation / current
-                    for m in range(dim):
-                        for o in range(dim):
-                            moment[i, m, o] += factor * y[m] * xi[e, o]
+                    elongation, y_0, y_1, y_2 = elongated(e, cell, steps, xi, reference, u, dim, finite)
+                    factor = k[e] * elongation / np.sqrt(y_0 * y_0 + y_1 * y_1 + y_2 * y_2)
+                    for o in range(dim):
+                        moment[i, 0, o] += factor * y_0 * xi[e, o]
+                        if dim > 1:
+                            moment[i, 1, o] += factor * y_1 * xi[e, o]
+                        if dim > 2:
+                            moment[i, 2, o] += factor * y_2 * xi[e, o]
 
-    return sums
+    return moments
 
 
 @lru_cache
@@ -513,13 +527,13 @@ def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def moduli(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, D):  # type: ignore[no-untyped-def]
-        y, block = np.empty(dim), np.empty((dim, dim))
+        y, block = np.empty(3), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
                 D[i] = 0.0
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
-                    bond_block(e, cell, steps, xi, reference, k, u, finite, y, block)
+                    bond_block(e, cell, steps, xi, reference, k, u, dim, finite, y, block)
                     for m in range(dim):
                         for a in range(dim):
                             for o in range(dim):
@@ -629,13 +643,13 @@ def rows_bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def add(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, blocks):  # type: ignore[no-untyped-def]
-        y, block = np.empty(dim), np.empty((dim, dim))
+        y, block = np.empty(3), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
                     j = at[cell + steps[e]]
-                    bond_block(e, cell, steps, xi, reference, k, u, finite, y, block)
+                    bond_block(e, cell, steps, xi, reference, k, u, dim, finite, y, block)
                     for m in range(dim):
                         for o in range(dim):
                             blocks[i, m, o] += block[m, o]

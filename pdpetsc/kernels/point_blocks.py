@@ -60,14 +60,14 @@ def bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def blocks(indptr, neighbours, x, u, stiffness, tension, a, B, out):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
+        n = np.empty(3)
         centre = np.empty(dim)
         dilates = a.size > 0
         for i in range(indptr.size - 1):
             centre[:] = 0.0
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                _, current = direction(i, j, x, u, finite, n)
+                n[0], n[1], n[2], _, current = direction(i, j, x, u, dim, finite)
                 turning = tension[b] / current if finite else 0.0
                 for m in range(dim):
                     for k in range(dim):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.kernels.bonds import direction
+from pdpetsc.kernels.bonds import add_to, difference, direction
 from pdpetsc.kernels.compile import compiled
 
 # Empty stiffness and shape tensors for ``gradient_times_kernel`` without control.
@@ -103,34 +103,34 @@ def bond_times_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
         dilates = a.size > 0
         for q in range(particles.size):
             i = particles[q]
             pressure = 0.0
             if dilates:
                 for b in range(indptr[i], indptr[i + 1]):
-                    j = neighbours[b]
-                    direction(i, j, x, u, finite, n)
-                    for m in range(dim):
-                        pressure += a[b] * n[m] * (du[j, m] - du[i, m])
+                    n_0, n_1, n_2, _, _ = direction(i, neighbours[b], x, u, dim, finite)
+                    d_0, d_1, d_2 = difference(i, neighbours[b], du, dim)
+                    pressure += a[b] * (n_0 * d_0 + n_1 * d_1 + n_2 * d_2)
                 pressure *= B[i]
+            own_0, own_1, own_2 = 0.0, 0.0, 0.0
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                _, current = direction(i, j, x, u, finite, n)
-                along = 0.0
-                for m in range(dim):
-                    along += n[m] * (du[j, m] - du[i, m])
+                n_0, n_1, n_2, _, current = direction(i, j, x, u, dim, finite)
+                d_0, d_1, d_2 = difference(i, j, du, dim)
+                along = n_0 * d_0 + n_1 * d_1 + n_2 * d_2
                 force = stiffness[b] * along
                 if dilates:
                     force += a[b] * pressure
-                turning = tension[b] / current if finite else 0.0
-                for m in range(dim):
-                    value = force * n[m]
-                    if finite:
-                        value += turning * (du[j, m] - du[i, m] - along * n[m])
-                    f[j, m] += value
-                    f[i, m] -= value
+                f_0, f_1, f_2 = force * n_0, force * n_1, force * n_2
+                if finite:
+                    turning = tension[b] / current
+                    f_0 += turning * (d_0 - along * n_0)
+                    f_1 += turning * (d_1 - along * n_1)
+                    f_2 += turning * (d_2 - along * n_2)
+                add_to(f, j, f_0, f_1, f_2, dim)
+                own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
+            add_to(f, i, own_0, own_1, own_2, dim)
 
     return times
 
@@ -145,7 +145,7 @@ def bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
+        n = np.empty(3)
         xi = np.empty(dim)
         spread = np.empty((dim, dim))
         dilates = a.size > 0
@@ -154,7 +154,7 @@ def bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
             spread[:] = 0.0
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                _, current = direction(i, j, x, u, finite, n)
+                n[0], n[1], n[2], _, current = direction(i, j, x, u, dim, finite)
                 turning = tension[b] / current if finite else 0.0
                 for m in range(dim):
                     xi[m] = x[j, m] - x[i, m]

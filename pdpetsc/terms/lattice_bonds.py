@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -16,8 +17,9 @@ from pdpetsc.gradient.products import Entries, Product
 from pdpetsc.kernels.lattice_stencils import (
     add_from_cells,
     rows_bond_blocks_kernel,
+    rows_bond_energy_kernel,
     rows_bond_moduli_kernel,
-    rows_bond_sums_kernel,
+    rows_bond_moments_kernel,
     rows_bonds_kernel,
     rows_least_length_kernel,
 )
@@ -134,39 +136,34 @@ class LatticeBonds(BondForces):
 
     def moduli(self, state: State) -> Float:
         """Compute the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
-        own, part = self._lattice.irregular, self._lattice.whole
+        own = self._lattice.irregular
         D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
         D[own.local[: own.n]] = self._irregular.product(self.irregular_state(state)).stiffness()[: own.n]
-        kernel = rows_bond_moduli_kernel(self.body.dim, int(self.finite))
-        kernel(*part.loop, self._lattice.grid.at, *self._patterns, self._lattice.grid.onto(state.u_local), D)
+        self._of_rows(state, rows_bond_moduli_kernel(self.body.dim, int(self.finite)), D)
         return D
 
-    def _sums(self, state: State) -> tuple[Float, Float]:
-        """Compute energy [energy] and ``sum_j t n (x) xi`` [energy] of the own particles (collective on first use)."""
-        u_local, irregular = state.u_local, self.irregular_state(state)
-
-        def make() -> tuple[Float, Float]:
-            own, part, dim = self._lattice.irregular, self._lattice.whole, self.body.dim
-            n = self.body.cloud.n_owned
-            energy, moment = np.empty(n), np.empty((n, dim, dim))
-            V = own.cloud.volume[: own.n]
-            energy[own.local[: own.n]] = self._irregular.energy_density(irregular)[: own.n] * V
-            moment[own.local[: own.n]] = self._irregular.first_piola_stress(irregular)[: own.n] * V[:, None, None]
-            kernel = rows_bond_sums_kernel(dim, int(self.finite))
-            kernel(*part.loop, self._lattice.grid.at, *self._patterns, self._lattice.grid.onto(u_local), energy, moment)
-            return energy, moment
-
-        return state.kept(("sums", id(self)), make)
+    def _of_rows(self, state: State, kernel: Callable[..., None], out: Float) -> None:
+        """Write what a kernel computes for the particles with shared families to their rows of ``out``."""
+        u_cells = self._lattice.grid.onto(state.u_local)
+        kernel(*self._lattice.whole.loop, self._lattice.grid.at, *self._patterns, u_cells, out)
 
     def energy_density(self, state: State) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
-        cloud = self.body.cloud
-        return np.asarray(self._sums(state)[0] / cloud.volume[: cloud.n_owned])
+        own, cloud = self._lattice.irregular, self.body.cloud
+        density = np.empty(cloud.n_owned)
+        self._of_rows(state, rows_bond_energy_kernel(self.body.dim, int(self.finite)), density)
+        density /= cloud.volume[: cloud.n_owned]
+        density[own.local[: own.n]] = self._irregular.energy_density(self.irregular_state(state))[: own.n]
+        return density
 
     def first_piola_stress(self, state: State) -> Float:
         """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]."""
-        cloud = self.body.cloud
-        return np.asarray(self._sums(state)[1] / cloud.volume[: cloud.n_owned, None, None])
+        own, cloud, dim = self._lattice.irregular, self.body.cloud, self.body.dim
+        P = np.empty((cloud.n_owned, dim, dim))
+        self._of_rows(state, rows_bond_moments_kernel(dim, int(self.finite)), P)
+        P /= cloud.volume[: cloud.n_owned, None, None]
+        P[own.local[: own.n]] = self._irregular.first_piola_stress(self.irregular_state(state))[: own.n]
+        return P
 
     def deformation_gradient(self, state: State) -> Float:
         """Compute the least-squares gradient of the family (n_owned, dim, dim) [-], 1 in directions not spanned."""

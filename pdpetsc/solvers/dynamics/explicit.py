@@ -43,8 +43,8 @@ SOFTEST = 1e-12
 FIRST = 1e-3
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
-# The number of time steps between estimates is halved if the frequency grows more, doubled if it grows less.
-GROWS, RESTS = 0.02, 0.005
+# The number of time steps between estimates is halved if the frequency grows more, and multiplied if it grows less.
+GROWS, RESTS, LENGTHENED = 0.02, 0.005, 4
 # Relative difference of two masses of the same body.
 SAME_MASS = 1e-6
 # Names in a checkpoint: the added mass [-], and the damping ratio of the viscosity of shocks [-].
@@ -173,7 +173,7 @@ class ExplicitSolver(Solver):
                     if growth > GROWS:
                         interval = max(LEAST, interval // 2)
                     elif growth < RESTS:
-                        interval = min(MOST_STEPS, 2 * interval)
+                        interval = min(MOST_STEPS, LENGTHENED * interval)
                     due = self._steps + interval
                     if now != largest and number < count:
                         base, number, count = at, 0, self._count(target - at, self._stable(now))

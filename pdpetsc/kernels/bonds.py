@@ -13,26 +13,13 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.components import add_to, difference
 from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @compiled
-def difference(i, j, u, dim):  # type: ignore[no-untyped-def]
-    """Return the three components of ``u_j - u_i``, those beyond ``dim`` 0."""
-    second, third = 0.0, 0.0
-    if dim > 1:
-        second = u[j, 1] - u[i, 1]
-    if dim > 2:
-        third = u[j, 2] - u[i, 2]
-    return u[j, 0] - u[i, 0], second, third
-
-
-@compiled
 def direction(i, j, x, u, dim, finite):  # type: ignore[no-untyped-def]
-    """Return the three components of the direction of bond ``ij``, its reference and its current length.
-
-    They are numbers, because an array would be written to memory and read again for every bond.
-    """
+    """Return the components of the direction of bond ``ij``, its reference and its current length."""
     n_0, n_1, n_2 = difference(i, j, x, dim)
     reference = np.sqrt(n_0 * n_0 + n_1 * n_1 + n_2 * n_2)
     current = reference
@@ -44,16 +31,6 @@ def direction(i, j, x, u, dim, finite):  # type: ignore[no-untyped-def]
         inverse = 1.0 / current
         n_0, n_1, n_2 = n_0 * inverse, n_1 * inverse, n_2 * inverse
     return n_0, n_1, n_2, reference, current
-
-
-@compiled
-def add_to(f, i, value_0, value_1, value_2, dim):  # type: ignore[no-untyped-def]
-    """Add a vector of three components, those beyond ``dim`` 0, to row ``i`` of ``f``."""
-    f[i, 0] += value_0
-    if dim > 1:
-        f[i, 1] += value_1
-    if dim > 2:
-        f[i, 2] += value_2
 
 
 @lru_cache

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.components import add_to, applied, difference
 from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
@@ -26,43 +27,32 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
     def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f, energy):  # type: ignore[no-untyped-def]
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
-        eta = np.empty(dim)
-        centre = np.empty(dim)
         for q in range(particles.size):
             i = particles[q]
             moment[:] = 0.0
-            energy[q] = 0.0
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
                 for m in range(dim):
-                    eta[m] = weight[t] * (u[j, m] - u[i, m])
-                for n in range(dim):
-                    xi = x[j, n] - x[i, n]
-                    for m in range(dim):
-                        moment[m, n] += eta[m] * xi
+                    eta = weight[t] * (u[j, m] - u[i, m])
+                    for n in range(dim):
+                        moment[m, n] += eta * (x[j, n] - x[i, n])
             for m in range(dim):
-                centre[m] = 0.0
                 for n in range(dim):
                     H[m, n] = 0.0
                     for o in range(dim):
                         H[m, n] += moment[m, o] * K_inverse[i, o, n]
+            own_0, own_1, own_2, psi = 0.0, 0.0, 0.0, 0.0
             for t in range(indptr[i], indptr[i + 1]):
-                j = neighbours[t]
-                for m in range(dim):
-                    eta[m] = u[j, m] - u[i, m]
-                for n in range(dim):
-                    xi = x[j, n] - x[i, n]
-                    for m in range(dim):
-                        eta[m] -= H[m, n] * xi
-                square = 0.0
-                for m in range(dim):
-                    square += eta[m] * eta[m]
-                    value = stiffness[t] * eta[m]
-                    f[j, m] += value
-                    centre[m] -= value
-                energy[q] += 0.5 * stiffness[t] * square
-            for m in range(dim):
-                f[i, m] += centre[m]
+                j, s = neighbours[t], stiffness[t]
+                z_0, z_1, z_2 = difference(i, j, u, dim)
+                xi_0, xi_1, xi_2 = difference(i, j, x, dim)
+                h_0, h_1, h_2 = applied(H, xi_0, xi_1, xi_2, dim)
+                z_0, z_1, z_2 = z_0 - h_0, z_1 - h_1, z_2 - h_2
+                add_to(f, j, s * z_0, s * z_1, s * z_2, dim)
+                own_0, own_1, own_2 = own_0 - s * z_0, own_1 - s * z_1, own_2 - s * z_2
+                psi += 0.5 * s * (z_0 * z_0 + z_1 * z_1 + z_2 * z_2)
+            energy[q] = psi
+            add_to(f, i, own_0, own_1, own_2, dim)
 
     return force
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.components import add_to, applied, difference, row
 
 
 @lru_cache
@@ -144,29 +145,27 @@ def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     @compiled
     def divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u):  # type: ignore[no-untyped-def]
         s = np.empty((dim, dim))
-        centre = np.empty(dim)
         for p in range(point_ptr.size - 1):
             first = point_ptr[p]
             i = members[first]
             for m in range(dim):
-                centre[m] = 0.0
                 for n in range(dim):
                     s[m, n] = volume[p] * P[p, m, n]
                     if controlled:
                         for o in range(dim):
                             s[m, n] -= H[p, m, o] * K[p, o, n]
+            own_0, own_1, own_2 = 0.0, 0.0, 0.0
             for t in range(first + 1, point_ptr[p + 1]):
                 k = members[t]
-                for m in range(dim):
-                    force = 0.0
-                    if controlled:
-                        force = stiffness[t - p - 1] * (u[k, m] - u[i, m])
-                    for n in range(dim):
-                        force += s[m, n] * g[t, n]
-                    f[k, m] += force
-                    centre[m] -= force
-            for m in range(dim):
-                f[i, m] += centre[m]
+                g_0, g_1, g_2 = row(g, t, dim)
+                f_0, f_1, f_2 = applied(s, g_0, g_1, g_2, dim)
+                if controlled:
+                    c = stiffness[t - p - 1]
+                    eta_0, eta_1, eta_2 = difference(i, k, u, dim)
+                    f_0, f_1, f_2 = f_0 + c * eta_0, f_1 + c * eta_1, f_2 + c * eta_2
+                add_to(f, k, f_0, f_1, f_2, dim)
+                own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
+            add_to(f, i, own_0, own_1, own_2, dim)
 
     return divergence
 

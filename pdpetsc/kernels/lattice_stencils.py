@@ -293,25 +293,30 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
     @compiled
     def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u, energies):  # type: ignore[no-untyped-def]
         list_ptr, entry_ptr, plus, minus = lists
-        buffer = np.empty((3, lengths.max() if lengths.size else 0))
+        longest = lengths.max() if lengths.size else 0
+        buffer, twice = np.empty((3, longest)), np.empty(longest)
         for q in range(starts.size):
             s, n = starts[q], lengths[q]
             k = list_ptr[pattern[q]]
-            for i in range(n):
-                energies[at[s + i]] = 0.0
+            twice[:n] = 0.0
             for m in range(dim):
                 v = u[m]
+                here = v[s : s + n]
                 row_gradient(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, v, dim, buffer)
-                for i in range(n):
-                    value = 0.0
-                    for e in range(entry_ptr[k], entry_ptr[k + 1]):
-                        value += weight[e] * (v[s + i + plus[e]] - v[s + i]) ** 2
-                        if minus[e] != 0:
-                            value += weight[e] * (v[s + i + minus[e]] - v[s + i]) ** 2
-                    for a in range(dim):
-                        for b in range(dim):
-                            value -= buffer[a, i] * K[k, a, b] * buffer[b, i]
-                    energies[at[s + i]] += 0.5 * scale[at[s + i]] * value
+                for e in range(entry_ptr[k], entry_ptr[k + 1]):
+                    w = weight[e]
+                    beyond = v[s + plus[e] : s + plus[e] + n]
+                    before = v[s + minus[e] : s + minus[e] + n]
+                    # An entry with one member has the centre itself as the other one.
+                    for i in range(n):
+                        twice[i] += w * ((beyond[i] - here[i]) ** 2 + (before[i] - here[i]) ** 2)
+                for a in range(dim):
+                    for b in range(dim):
+                        modulus = K[k, a, b]
+                        for i in range(n):
+                            twice[i] -= buffer[a, i] * modulus * buffer[b, i]
+            for i in range(n):
+                energies[at[s + i]] = 0.5 * scale[at[s + i]] * twice[i]
 
     return energy
 

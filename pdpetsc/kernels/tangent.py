@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.kernels.bonds import add_to, difference, direction
+from pdpetsc.kernels.bonds import direction
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.components import add_to, applied, difference, row
 
 # Empty stiffness and shape tensors for ``gradient_times_kernel`` without control.
 NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
@@ -30,7 +31,6 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     def times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f):  # type: ignore[no-untyped-def]
         gradient = np.empty((dim, dim))
         stress = np.empty((dim, dim))
-        centre = np.empty(dim)
         for q in range(particles.size):
             i = particles[q]
             for p in range(points_of[i], points_of[i + 1]):
@@ -43,7 +43,6 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
                         for n in range(dim):
                             gradient[m, n] += eta * g[t, n]
                 for a in range(dim):
-                    centre[a] = 0.0
                     for b in range(dim):
                         value = 0.0
                         for m in range(dim):
@@ -54,18 +53,18 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
                             for n in range(dim):
                                 value -= gradient[a, n] * K[p, n, b]
                         stress[a, b] = value
+                own_0, own_1, own_2 = 0.0, 0.0, 0.0
                 for t in range(first + 1, point_ptr[p + 1]):
                     k = members[t]
-                    for m in range(dim):
-                        force = 0.0
-                        if controlled:
-                            force = stiffness[t - p - 1] * (u[k, m] - u[i, m])
-                        for n in range(dim):
-                            force += stress[m, n] * h[t, n]
-                        f[k, m] += force
-                        centre[m] -= force
-                for m in range(dim):
-                    f[i, m] += centre[m]
+                    h_0, h_1, h_2 = row(h, t, dim)
+                    f_0, f_1, f_2 = applied(stress, h_0, h_1, h_2, dim)
+                    if controlled:
+                        s = stiffness[t - p - 1]
+                        eta_0, eta_1, eta_2 = difference(i, k, u, dim)
+                        f_0, f_1, f_2 = f_0 + s * eta_0, f_1 + s * eta_1, f_2 + s * eta_2
+                    add_to(f, k, f_0, f_1, f_2, dim)
+                    own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
+                add_to(f, i, own_0, own_1, own_2, dim)
 
     return times
 

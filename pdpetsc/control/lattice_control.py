@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -59,6 +60,8 @@ class LatticeControl(Control):
             self._stiffness.append(irregular.bond_stiffness[bonds])
             points.append([(steps, irregular.bond_stiffness[bonds, None] * (xi @ K_inverse[number]))])
         self._weights = weights_of(points, lattice.cloud.dim)
+        # Stiffness of the entries of some weights, which controls of other scales share.
+        self._of_entries: dict[int, tuple[Weights, Float | None]] = {}
         found = self._of(self._weights, SameGradient())
         if found is None:
             raise ValueError("Opposite bonds of a family that repeats have different stiffnesses.")
@@ -66,7 +69,9 @@ class LatticeControl(Control):
 
     def _of(self, weights: Weights, irregular: SameGradient) -> LatticeSharedGradient | None:
         """Return the arguments of loops over weights; None if opposite bonds of an entry differ."""
-        of_bonds = weights.of_members(self._lattice.steps, self._stiffness)
+        if id(weights) not in self._of_entries:
+            self._of_entries[id(weights)] = weights, weights.of_members(self._lattice.steps, self._stiffness)
+        of_bonds = self._of_entries[id(weights)][1]
         return None if of_bonds is None else LatticeSharedGradient(irregular, of_bonds, self._K, self._scale)
 
     @property
@@ -134,11 +139,17 @@ class LatticeControl(Control):
 
     def scaled(self, share: Float) -> LatticeControl:
         """Return the control with the stiffness of each own family times its share (n_owned,)."""
-        lattice, own = self._lattice, self._lattice.irregular
+        own = self._lattice.irregular
         of_irregular = np.ones(own.cloud.n_owned)
         of_irregular[: own.n] = share[own.local[: own.n]]
-        scale = np.where(lattice.shared, self._scale * share, self._scale)
-        return LatticeControl(lattice, self._irregular.scaled(of_irregular), scale, lambda: self._listed.scaled(share))
+        # The particles that represent patterns keep their stiffness, and so do the patterns.
+        scaled = copy.copy(self)
+        scaled._irregular, scaled._alone = self._irregular.scaled(of_irregular), self._alone.scaled(of_irregular)
+        scaled._scale = np.where(self._lattice.shared, self._scale * share, self._scale)
+        scaled._same = LatticeSharedGradient(SameGradient(), self._same.weight, self._K, scaled._scale)
+        scaled._all, scaled._make = None, lambda: self._listed.scaled(share)
+        scaled._shared = scaled._filled = None
+        return scaled
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
         """Return the families of selected own particles, with the centre first."""

@@ -11,6 +11,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import (
     FLAT,
+    BondGradient,
     GradientOperator,
     SameGradient,
     Springs,
@@ -52,6 +53,9 @@ class NonUniform(Control):
         self._K_inverse = K_inverse
         self._phi = phi
         self._forces = stiffness if phi is None else stiffness * phi
+        # The control with the same H and other stiffnesses of whole families from which this one was made, with their
+        # shares.
+        self._scaled_from: tuple[NonUniform, Float] | None = None
 
     @property
     def bond_stiffness(self) -> Float:
@@ -123,13 +127,21 @@ class NonUniform(Control):
         """Return the data of the control for the loop over ``operator`` if H is its gradient, else None."""
         if self._phi is not None:
             return None
+        if self._scaled_from is not None:
+            original, share = self._scaled_from
+            same = original.shared_gradient(operator)
+            if isinstance(same, BondGradient):
+                return BondGradient(self._stiffness, same.K * share[:, None, None])
         springs = Springs(self._families, self._stiffness, self._K_inverse, self._cloud.x, self.force)
         return operator.same_gradient(springs)
 
     def scaled(self, share: Float) -> NonUniform:
         """Return the control with ``s_ij`` times the share of ``i``; H is unchanged."""
         stiffness = self._stiffness * share[self._families.centres]
-        return NonUniform(self._cloud, self._families, stiffness, self._K_inverse / share[:, None, None], self._phi)
+        K_inverse = self._K_inverse / share[:, None, None]
+        scaled = NonUniform(self._cloud, self._families, stiffness, K_inverse, self._phi)
+        scaled._scaled_from = self, share
+        return scaled
 
     def family_forces(self, u: Float) -> Float:
         """Return ``T_ij s_ij z_ij`` on ``j`` and minus their sum on ``i``."""

@@ -171,6 +171,37 @@ def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
 
 
 @lru_cache
+def residual_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``residual(owner, point_ptr, members, x, u, F, square, Z)``, with ``z = eta - (F - I) xi``.
+
+    Writes ``sum |xi|^2`` (n_points,) and ``sum z (x) z`` (n_points, dim, dim) over the stencil of each point.
+    """
+
+    @compiled
+    def residual(owner, point_ptr, members, x, u, F, square, Z):  # type: ignore[no-untyped-def]
+        for p in range(owner.size):
+            i = owner[p]
+            total = 0.0
+            xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for t in range(point_ptr[p], point_ptr[p + 1]):
+                xi_0, xi_1, xi_2 = difference(i, members[t], x, dim)
+                z_0, z_1, z_2 = difference(i, members[t], u, dim)
+                y_0, y_1, y_2 = applied(F[p], xi_0, xi_1, xi_2, dim)
+                z_0, z_1, z_2 = z_0 + xi_0 - y_0, z_1 + xi_1 - y_1, z_2 + xi_2 - y_2
+                total += xi_0 * xi_0 + xi_1 * xi_1 + xi_2 * xi_2
+                xx, yy, zz = xx + z_0 * z_0, yy + z_1 * z_1, zz + z_2 * z_2
+                xy, xz, yz = xy + z_0 * z_1, xz + z_0 * z_2, yz + z_1 * z_2
+            square[p] = total
+            Z[p, 0, 0] = xx
+            if dim > 1:
+                Z[p, 1, 1], Z[p, 0, 1], Z[p, 1, 0] = yy, xy, xy
+            if dim > 2:
+                Z[p, 2, 2], Z[p, 0, 2], Z[p, 2, 0], Z[p, 1, 2], Z[p, 2, 1] = zz, xz, xz, yz, yz
+
+    return residual
+
+
+@lru_cache
 def determinant_kernel(dim: int) -> Callable[..., Any]:
     """Return ``smallest(F)``: the smallest ``det F_p`` (infinity for no points, NaN counts as the smallest)."""
 

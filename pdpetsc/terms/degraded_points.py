@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.control.base import Control
@@ -14,6 +15,7 @@ from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
+from pdpetsc.kernels.gradient import residual_kernel
 from pdpetsc.kernels.principal_rows import symmetric_axes
 from pdpetsc.material.base import Material
 from pdpetsc.material.point_laws import PointLaws
@@ -294,33 +296,38 @@ class DegradedPoints(MaterialPoints, DamageModel):
         I) xi``. Strain alone is oblique near a tip, and its shear cancels between both sides.
         """
         cloud, operator, dim = self.body.cloud, self.operator, self.body.dim
-        gradient, u = super().deformation(state), state.u_local
-        near = np.flatnonzero(np.maximum(x, self.points.kappa) > NEAR_ONSET)
-        F, some = gradient[near], operator.at(near)
-        size, first = np.diff(some.point_ptr), some.point_ptr[:-1]
-        xi, eta = (v[some.members] - np.repeat(v[some.owner], size, axis=0) for v in (cloud.x, u))
-        z = eta - np.einsum("eij,ej->ei", np.repeat(F - np.eye(dim), size, axis=0), xi)
-        strain = 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(dim)
-        if not self._linear:
-            z = np.einsum("eji,ej->ei", np.repeat(F, size, axis=0), z)
-            strain = 0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(dim))
-        stretch, axes = symmetric_axes(strain)
+        of_owners, number = entries_of(operator.points_of, operator.owner[points])
+        families = operator.at(of_owners)
+        wanted = np.zeros(cloud.n_local)
+        wanted[families.members] = 1.0
+        cloud.halo.reverse(wanted)
+        near = (np.maximum(x, self.points.kappa) > NEAR_ONSET) & (wanted[operator.owner] > 0.0)
         apart = np.zeros((operator.n_points, dim, dim))
-        apart[near] = np.einsum("pik,pk,pjk->pij", axes, np.maximum(stretch, 0.0) ** 2 / dim, axes)
-        if len(near):
-            square = np.add.reduceat(np.einsum("ei,ei->e", xi, xi), first)
-            apart[near] += np.add.reduceat(np.einsum("ei,ej->eij", z, z), first) / square[:, None, None]
+        apart[near] = self._apart(state, np.flatnonzero(near))
         of_particles = np.zeros((cloud.n_local, dim, dim))
         of_particles[: cloud.n_owned] = operator.mean_over_points(apart, cloud.n_owned)
         cloud.halo.forward(of_particles)
         if len(cloud.sign):
             of_particles[cloud.n_owned :] *= np.einsum("gi,gj->gij", cloud.sign, cloud.sign)
-        if not len(points):
-            return np.empty((0, dim))
-        of_owners, number = entries_of(operator.points_of, operator.owner[points])
-        families = operator.at(of_owners)
-        M = np.add.reduceat(of_particles[families.members], families.point_ptr[number[:-1]])
+        one, ptr = np.ones(len(families.members)), families.point_ptr[number]
+        sums = scipy.sparse.csr_matrix((one, families.members, ptr), shape=(len(points), cloud.n_local))
+        M = (sums @ of_particles.reshape(cloud.n_local, -1)).reshape(-1, dim, dim)
         return np.asarray(np.linalg.eigh(M)[1][:, :, -1])
+
+    def _apart(self, state: State, points: GlobalIndex) -> Float:
+        """Compute ``M_q`` of some points q (n, dim, dim) [-] (not collective)."""
+        dim, stencils = self.body.dim, self.operator.at(points)
+        F = super().deformation(state)[points]
+        square, residual = np.empty(len(points)), np.empty((len(points), dim, dim))
+        data = stencils.owner, stencils.point_ptr, stencils.members, self.body.cloud.x, state.u_local
+        residual_kernel(dim)(*data, F, square, residual)
+        strain = 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(dim)
+        if not self._linear:
+            residual = F.transpose(0, 2, 1) @ residual @ F
+            strain = 0.5 * (F.transpose(0, 2, 1) @ F - np.eye(dim))
+        stretch, axes = symmetric_axes(strain)
+        M = np.einsum("pik,pk,pjk->pij", axes, np.maximum(stretch, 0.0) ** 2 / dim, axes)
+        return np.asarray(M + residual / square[:, None, None])
 
     def fading(self, state: State) -> float:
         """Return the largest change of a degradation factor that a state would cause [-]."""

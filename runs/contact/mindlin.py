@@ -1,15 +1,20 @@
-"""Rigid cylinder pressed on an elastic half plane and then moved sideways: Cattaneo-Mindlin. Any consistent units.
+"""Cylinder pressed on an elastic body and then moved sideways: Cattaneo-Mindlin. Any consistent units.
 
 A rigid cylinder of radius 3 below a half disc of radius 4, E = 1e6, plane strain, held along its arc, moves up by
 ``load``, and then sideways by ``slide`` times ``friction load`` in twelve steps. The particles are nodes of
 quadrilaterals that grow away from the contact (``refined.py``): ``n`` over 0.08 at the contact.
 
+With ``bodies=2`` two elastic half cylinders of radius 3 are pressed together, with ``n`` and ``3 n / 2`` over 0.08; the
+diameter of the upper one moves.
+
 With the normal force P and the tangential force Q the half width c of the zone that sticks, over that of the contact,
 is ``c / a = sqrt(1 - Q / (friction P))``. That holds if normal and tangential displacements do not depend on each
-other: for nu = 0.5. The default is 0.45, which is near to that and needs no treatment of bodies that keep their volume.
+other: for two bodies of one material, and for a rigid one if nu = 0.5. The default is 0.45, which is near to that and
+needs no treatment of bodies that keep their volume.
 
 Results: ``force`` P, ``stick_25``, ``stick_50``, ``stick_75``, the area of the facets that stick over that of all that
-touch at ``Q / (friction P)`` = 0.25, 0.5 and 0.75, interpolated between the steps; ``sliding_force``, the largest Q
+touch at ``Q / (friction P)`` = 0.25, 0.5 and 0.75, interpolated between the steps, the second also as
+``stick_over_contact``; ``sliding_force``, the largest Q
 over ``friction P``; and ``half_width_over_hertz`` of the pressed cylinder.
 """
 
@@ -35,58 +40,86 @@ SHARES = (0.25, 0.5, 0.75)
 class Sticking(pd.Quantity):
     """Area of the facets that stick over the area of all that touch."""
 
-    friction = 0.0
+    friction, curvature = 0.0, 0.0
 
-    def __init__(self, friction):
+    def __init__(self, friction, curvature):
         object.__setattr__(self, "friction", friction)
+        object.__setattr__(self, "curvature", curvature)
 
     def evaluate(self, solution):
         x, traction, area = hertz.touching(solution)
         if not len(area):
             return 0.0
-        normal = x + np.array([0.0, RADIUS])
+        normal = self.curvature * x + (0.0, 1.0)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         pressure = (traction * normal).sum(axis=1)
         shear = np.linalg.norm(traction - pressure[:, None] * normal, axis=1)
-        # The cylinder has moved, so that its normals differ from these a little.
-        return float(area[shear < 0.99 * self.friction * pressure].sum() / area.sum())
+        # The surfaces have moved, so that their normals differ from these a little.
+        return float(area[shear < 0.99 * self.friction * np.abs(pressure)].sum() / area.sum())
 
 
-def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45):
-    points, cells = refined.mirrored(*refined.corner(n, CORE, OUTER, 2))
-    cloud = refined.cloud(points, cells, points[:, 1] < 1e-9)
-    tool = pd.RigidSphere(
-        (0.0, -RADIUS), RADIUS, move=(slide * friction * load, load),
-        schedule=(pd.Table([0.0, PRESSED, 1.0], [0.0, 0.0, 1.0]), pd.Table([0.0, PRESSED, 1.0], [0.0, 1.0, 1.0])),
-    )  # fmt: skip
-    arc = ~pd.region.Sphere((0.0, 0.0), OUTER * (1.0 - 1e-9))
+def cylinder(n, side):
+    """Return the nodes of half a cylinder above (side 1) or below (-1) the origin."""
+    points, cells = refined.mirrored(*refined.corner(n, CORE, 2.0 * RADIUS, 2))
+    points = refined.ball(points, RADIUS)
+    outer = np.abs(np.linalg.norm(points - (0.0, RADIUS), axis=1) - RADIUS) < 1e-9 * RADIUS
+    return refined.cloud(points * (1.0, side), cells, outer)
+
+
+def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45, bodies=1):
+    pressing, sliding = pd.Table([0.0, PRESSED, 1.0], [0.0, 1.0, 1.0]), pd.Table([0.0, PRESSED, 1.0], [0.0, 0.0, 1.0])
     modulus = E / (1.0 - nu**2)
+    if bodies == 1:
+        points, cells = refined.mirrored(*refined.corner(n, CORE, OUTER, 2))
+        cloud = refined.cloud(points, cells, points[:, 1] < 1e-9)
+        particles, size, radius, curvature = cloud.particles, cloud.size, RADIUS, 1.0 / RADIUS
+        tool = pd.RigidSphere(
+            (0.0, -RADIUS), RADIUS, move=(slide * friction * load, load), schedule=(sliding, pressing)
+        )
+        arc = ~pd.region.Sphere((0.0, 0.0), OUTER * (1.0 - 1e-9))
+        conditions = [
+            pd.Displacement(arc, x=0.0, y=0.0),
+            cloud.contact(tool, friction, 10.0 * modulus, CORE / n, "contact"),
+        ]
+    else:
+        upper, lower = cylinder(n, 1.0), cylinder(3 * n // 2, -1.0)
+        particles = pd.Bodies({"upper": upper.particles, "lower": lower.particles})
+        size, radius, curvature, modulus = np.concatenate([upper.size, lower.size]), 0.5 * RADIUS, 0.0, 0.5 * modulus
+        near = pd.region.Named("contact") & pd.region.Sphere((0.0, 0.0), 1.5 * CORE)
+        diameter = pd.region.Slab("y", low=RADIUS * (1.0 - 1e-9))
+        conditions = [
+            pd.Displacement(pd.region.Slab("y", high=-RADIUS * (1.0 - 1e-9)), x=0.0, y=0.0),
+            pd.Displacement(diameter, x=slide * friction * load, schedule=sliding),
+            pd.Displacement(diameter, y=-load, schedule=pressing),
+            pd.BodyContact(
+                pd.region.Named("upper") & near, pd.region.Named("lower") & near, friction, penetration=1e-3,
+                stiffness=10.0 * modulus / (CORE / n), name="contact",
+            ),
+        ]  # fmt: skip
 
     def results(h):
-        x, y = np.abs(h["tool_x"]), np.asarray(h["tool_y"])
+        x, y = np.abs(h["contact_x"]), np.abs(h["contact_y"])
         pressed = np.asarray(h["t"]) > PRESSED - 1e-9
         share = (x / np.where(y > 0.0, friction * y, 1.0))[pressed]
         stick = np.asarray(h["stick"])[pressed]
         first = int(np.argmax(pressed))
-        a, _ = hertz.line(y[first], RADIUS, modulus)
+        a, _ = hertz.line(y[first], radius, modulus)
         found = {f"stick_{round(100 * at)}": float(np.interp(at, share, stick)) for at in SHARES}
         return {
             "force": y[-1],
             **found,
+            "stick_over_contact": found["stick_50"],
             "sliding_force": share.max(),
             "half_width_over_hertz": h["half_width"][first] / a,
         }
 
     return pd.Case(
-        particles=cloud.particles,
-        horizon=2.1 * cloud.size,
+        particles=particles,
+        horizon=2.1 * size,
         material=pd.LinearElastic(E=E, nu=nu),
-        conditions=[
-            pd.Displacement(arc, x=0.0, y=0.0),
-            cloud.contact(tool, friction, 10.0 * modulus, CORE / n, "tool"),
-        ],
+        conditions=conditions,
         steps=pd.Steps(times=(PRESSED, *(PRESSED + (1.0 - PRESSED) * k / STEPS for k in range(1, STEPS)), 1.0)),
-        history={"stick": Sticking(friction), "half_width": hertz.HalfWidth()},
+        history={"stick": Sticking(friction, curvature), "half_width": hertz.HalfWidth()},
         results=results,
         expect={
             f"stick_{round(100 * at)}": pd.Expected(np.sqrt(1.0 - at), absolute=0.05, source="Cattaneo, Mindlin")

@@ -57,6 +57,15 @@ def test_a_cylinder_that_is_pulled_sideways_sticks_in_the_middle(tmp_path):
     assert 0.9 < pulled["sliding_force"] <= 1.0 + 1e-9
 
 
+@pytest.mark.long
+def test_two_cylinders_of_one_material_stick_in_the_middle(tmp_path):
+    """Tractions along the contact do not move its surfaces apart, so that the closed form holds for any nu."""
+    pulled = found("mindlin", "n=12", "bodies=2", "nu=0.3", "slide=1.6", output=tmp_path)
+    for share in (0.25, 0.5, 0.75):
+        assert pulled[f"stick_{round(100 * share)}"] == pytest.approx(math.sqrt(1.0 - share), abs=0.06), share
+    assert 0.9 < pulled["sliding_force"] <= 1.0 + 1e-9
+
+
 @pytest.mark.parametrize(("load", "friction"), [(15.0, 0.3), (25.0, 0.3)])
 def test_a_block_sticks_to_a_slope_up_to_the_angle_of_friction(load, friction, tmp_path):
     block = found("slope", "n=5", f"load={load}", f"friction={friction}", output=tmp_path)

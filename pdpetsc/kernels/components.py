@@ -1,7 +1,7 @@
 """Vectors of at most three components as numbers, for loops over bonds and members of stencils.
 
-A small array would be written to memory and read again for every bond. ``dim`` is a compile-time constant of the kernels
-that call these functions; components beyond it are 0 and not computed.
+A small array would be written to memory and read again for every bond. ``dim`` is a compile-time constant of the
+kernels that call these functions; components beyond it are 0 and not computed.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ needs no treatment of bodies that keep their volume.
 
 Results: ``force`` P, ``stick_25``, ``stick_50``, ``stick_75``, the area of the facets that stick over that of all that
 touch at ``Q / (friction P)`` = 0.25, 0.5 and 0.75, interpolated between the steps, the second also as
-``stick_over_contact``; ``sliding_force``, the largest Q
-over ``friction P``; and ``half_width_over_hertz`` of the pressed cylinder.
+``stick_over_contact``; ``sliding_force``, the largest Q over ``friction P``; and ``half_width_over_hertz`` of the
+pressed cylinder.
 """
 
 import sys

@@ -142,6 +142,9 @@ class FailingBonds:
 
     def soften(self, x: Float) -> float:
         """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
+        self.kappa[:] = self.law.effect.reached(x, self.kappa)
+        if not self.laws.softens:
+            return 0.0
         T = self.following(x)[0]
         if self.frozen:
             # Sweeps with frozen damage end because damage only grows. Reversible damage decreases in Newton iterations
@@ -150,7 +153,6 @@ class FailingBonds:
         change = float(np.abs(self.phi - T).max(initial=0.0))
         # A bond without remaining force breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.kappa[:] = self.law.effect.reached(x, self.kappa)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:

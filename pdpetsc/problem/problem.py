@@ -220,15 +220,18 @@ class Problem:
     def state(self, u: Float, t: float = 0.0) -> State:
         """Return the state at unknowns (n_rows, dim) and a load parameter.
 
-        The last state is returned again if nothing has changed.
+        The last state is returned again if nothing has changed (collective).
         """
         last = self._last
         expansion = None if self.body.expansion is None else self.body.expansion.at(t)
         same = last is not None and last.t == t and last.expansion is expansion and np.array_equal(last.u, u)
-        changed = not same or self._last_version != self.version
-        if last is None or int(total(self.body.cloud.comm, int(changed))) > 0:
+        damaged = self._last_version != self.version
+        moved, damaged = (total(self.body.cloud.comm, [int(not same), int(damaged)]) > 0).tolist()
+        if last is None or moved:
             self._last = last = State(self.body, u.copy(), self.clock(t))
-            self._last_version = self.version
+        elif damaged:
+            self._last = last = last.after_damage()
+        self._last_version = self.version
         return last
 
     def admissible(self, state: State) -> bool:

@@ -37,6 +37,7 @@ class State:
         # Stress-free deformation; None for a body without expansion.
         self.expansion = None if body.expansion is None else body.expansion.at(clock.load)
         self._u_local = u_local
+        self._elongated: dict[bool, tuple[Float, float]] = {}
         self._kept: dict[Hashable, Any] = {}
 
     @property
@@ -71,13 +72,10 @@ class State:
 
         For a body that expands, the force-free elongations are subtracted (collective).
         """
-        u_local, expansion = self.u_local, self.expansion
-
-        def make() -> tuple[Float, float]:
-            e, least = self.body.elongated(u_local, finite)
-            return e if expansion is None else e - expansion.elongation(finite), least
-
-        return self.kept(("elongation", finite), make)
+        if finite not in self._elongated:
+            e, least = self.body.elongated(self.u_local, finite)
+            self._elongated[finite] = e if self.expansion is None else e - self.expansion.elongation(finite), least
+        return self._elongated[finite]
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return the value cached under ``key``; compute it with ``make`` on first use."""
@@ -86,7 +84,13 @@ class State:
         value: T = self._kept[key]
         return value
 
+    def after_damage(self) -> State:
+        """Return the state with the same displacements and elongations, after damage or histories have changed."""
+        state = State(self.body, self.u, self._clock, self._u_local)
+        state._elongated = self._elongated
+        return state
+
     def forget(self) -> None:
         """Free the cached quantities; they are computed again on demand."""
-        self._u_local = None
+        self._u_local, self._elongated = None, {}
         self._kept.clear()

@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Entries, Product, RankOneProduct
-from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
+from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel, sums_of_products
 from pdpetsc.kernels.point_blocks import bond_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
@@ -276,10 +276,10 @@ class BondForces(MaterialTerm):
 
     def dilatation(self, state: State) -> Float:
         """Compute ``theta`` of the own particles (n_owned,) [-]; zeros for a material without dilatation."""
-        n, a = self.body.cloud.n_owned, self.shares(state)
-        if a is None:
-            return np.zeros(n)
-        return np.asarray(np.bincount(self.body.families.centres, a * self.elongation(state), n), dtype=float)
+        theta, a = np.zeros(self.body.cloud.n_owned), self.shares(state)
+        if a is not None:
+            sums_of_products(self.body.families.indptr, a, self.elongation(state), theta)
+        return theta
 
     def admissible(self, state: State) -> bool:
         """Return True if every bond on this rank has a length above zero."""
@@ -417,7 +417,8 @@ class BondForces(MaterialTerm):
     def energy_density(self, state: State) -> Float:
         """Compute the strain energy density of the own particles (n_owned,) [energy / volume]."""
         e, n = self.elongation(state), self.body.cloud.n_owned
-        psi = np.bincount(self.body.families.centres, 0.5 * self.secant(state) * e**2, n)
+        psi = np.empty(n)
+        sums_of_products(self.body.families.indptr, 0.5 * self.secant(state) * e, e, psi)
         if self.B is not None:
             psi += 0.5 * self.B * self.dilatation(state) ** 2
         return np.asarray(psi / self.body.cloud.volume[:n])

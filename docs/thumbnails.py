@@ -50,7 +50,7 @@ def draw_line(figure: Figure, scene: Scene) -> None:
 
 def draw_plane(figure: Figure, scene: Scene) -> None:
     """Draw the deformed cells of a plane body and its cracks."""
-    corners = polygons(scene)
+    corners = scene.polygons()
     drawn = PolyCollection(
         corners, array=scene.values[scene.cells.owner], cmap=COLOURS, edgecolors="face", linewidths=0.3
     )
@@ -67,7 +67,7 @@ def draw_plane(figure: Figure, scene: Scene) -> None:
 
 def draw_solid(figure: Figure, scene: Scene) -> None:
     """Draw the deformed surface of a solid body, lit from the side."""
-    corners = polygons(scene)
+    corners = scene.polygons()
     values = Normalize(*scene.limits, clip=True)(scene.values[scene.cells.owner])
     figure.set_size_inches(SIZE_OF_SOLID)
     axes = bare_axes(figure, projection="3d")
@@ -85,9 +85,3 @@ def cut_rim(path: Path) -> None:
         image = opened.convert("RGB")
     box = ImageChops.invert(image).getbbox()
     image.crop(box).save(path)
-
-
-def polygons(scene: Scene) -> list[np.ndarray]:
-    """Return the corners (m, dim) of each drawn cell."""
-    cells = scene.cells
-    return np.split(cells.points[cells.corners], cells.offsets[1:-1])

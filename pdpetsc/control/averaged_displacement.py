@@ -14,9 +14,9 @@ from pdpetsc.control.base import (
     Stiffness,
     ZeroEnergyControl,
     isotropic,
-    refuse_negative,
     relative_factor,
 )
+from pdpetsc.declared import NonNegative
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
@@ -49,11 +49,7 @@ class RelativeAverage(ZeroEnergyControl):
     RelativeAverage(C=0.2)
     """
 
-    C: float = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_negative("Relative averages need C", self.C)
+    C: NonNegative = 0.1
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective)."""
@@ -89,11 +85,7 @@ class AveragedDisplacement(ZeroEnergyControl):
     AveragedDisplacement(C2=1000.0)
     """
 
-    C2: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_negative("Averaged displacement needs C2", self.C2)
+    C2: NonNegative
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective)."""

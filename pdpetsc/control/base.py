@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,12 +63,6 @@ def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: S
     moment = omega * np.einsum("bm,bm->b", xi, xi) * cloud.volume[families.neighbours]
     trace = np.bincount(families.centres, moment, minlength=cloud.n_owned)
     return np.divide(stiffness.kappa, trace, out=np.zeros(cloud.n_owned), where=trace > 0.0)
-
-
-def refuse_negative(what: str, value: float) -> None:
-    """Raise CaseError if the coefficient of a control is negative or not finite."""
-    if not (math.isfinite(value) and value >= 0.0):
-        raise CaseError(f"{what} >= 0, not {value}.")
 
 
 class ControlMatrix(ABC):

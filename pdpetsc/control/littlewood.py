@@ -12,6 +12,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.non_uniform import Directed
 from pdpetsc.control.projection import gradient_weights
+from pdpetsc.declared import NonNegative
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
@@ -50,15 +51,8 @@ class Littlewood(ZeroEnergyControl):
     Littlewood(C=0.05, micromodulus='family')
     """
 
-    C: float = 0.1
+    C: NonNegative = 0.1
     micromodulus: Literal["family", "ball"] = "family"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.micromodulus not in ("family", "ball"):
-            raise CaseError(f'Littlewood takes micromodulus="family" or "ball", not {self.micromodulus!r}.')
-        if not (math.isfinite(self.C) and self.C >= 0.0):
-            raise CaseError(f"Littlewood's penalty needs C >= 0, not {self.C}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError if a family is too small or flat."""

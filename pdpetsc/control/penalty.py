@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl, refuse_negative
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.declared import NonNegative
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import regular_shape_tensors
@@ -39,11 +40,7 @@ class Penalty(ZeroEnergyControl):
     Penalty(C3=2.0)
     """
 
-    C3: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_negative("The penalty needs C3", self.C3)
+    C3: NonNegative
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError if a family is too small or flat."""

@@ -13,6 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.declare.influence import Constant, Influence, evaluate
+from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
@@ -51,13 +52,9 @@ class Silling(ZeroEnergyControl):
     Silling(G=0.2)
     """
 
-    G: float = 0.5
+    G: NonNegative = 0.5
 
     of_kappa: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_negative(self.G)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError if a family is too small or flat."""
@@ -100,16 +97,10 @@ class SillingMicromodulus(ZeroEnergyControl):
     >>> same = pd.Silling(printed.unit_free(spacing=1.0, horizon=3.015))
     """
 
-    G: float
-    unit_length: float
+    G: NonNegative
+    unit_length: Positive
 
     of_kappa: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_negative(self.G)
-        if not (math.isfinite(self.unit_length) and self.unit_length > 0.0):
-            raise CaseError(f"SillingMicromodulus needs a positive unit_length, not {self.unit_length}.")
 
     def unit_free(
         self,
@@ -157,11 +148,6 @@ class SillingMicromodulus(ZeroEnergyControl):
         reach = cloud.local_horizon[: cloud.n_owned]
         modulus = c * (self.unit_length / reach) ** 2 * stiffness.kappa
         return _proportional(cloud, families, weight, K, self.G * modulus / (reach**2 * omega_0))
-
-
-def _refuse_negative(G: float) -> None:
-    if not (math.isfinite(G) and G >= 0.0):
-        raise CaseError(f"Silling's control needs G >= 0, not {G}.")
 
 
 def _micromodulus(dim: int) -> float:

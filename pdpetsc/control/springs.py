@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl, refuse_negative, relative_factor
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl, relative_factor
 from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.declared import NonNegative
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 
@@ -37,11 +38,7 @@ class RelativeSprings(ZeroEnergyControl):
     RelativeSprings(C=0.001)
     """
 
-    C: float = 0.01
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_negative("Relative springs need C", self.C)
+    C: NonNegative = 0.01
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective)."""
@@ -73,11 +70,7 @@ class Springs(ZeroEnergyControl):
     Springs(C1=1000.0)
     """
 
-    C1: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_negative("Springs need C1", self.C1)
+    C1: NonNegative
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective)."""

@@ -262,7 +262,7 @@ class Convection(Condition):
 
     def put(self, onto: Any, name: str) -> None:
         """Apply it to ``onto`` (``terms.conditions.Applied``); messages call it ``name`` (collective)."""
-        onto.convection(self, name)
+        onto.heat_flux(self, name)
 
     def values(self, x: Float, t: float) -> Float:
         """Return ``h T_s`` (n,) at positions (n, dim) and load parameter ``t``, or raise SolveError."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, exchange, offset, total
+from pdpetsc.discrete.communicator import ask, offset, total
 from pdpetsc.discrete.components import rigid_at
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.background import interpolate_kernel, join_corners, join_within_cells, restrict_kernel
@@ -280,9 +279,9 @@ class BackgroundGrid:
             np.minimum.at(holder, copy[there], source[there])
             node = np.empty(count, dtype=np.int64)
             node[copy] = asked[:, 0]
-            return _ask(comm, holder, node, number_nodes)[copy]
+            return ask(comm, holder, node, number_nodes)[copy]
 
-        number = _ask(comm, keeper, question, one_of_each)
+        number = ask(comm, keeper, question, one_of_each)
         return number.reshape(nodes.shape), held
 
     def _on_planes(self, nodes: GlobalIndex) -> Mask:
@@ -301,21 +300,6 @@ class BackgroundGrid:
             for v, ((a, b), size) in enumerate(zip(images.cell.components, images.sizes, strict=True)):
                 strains[v, a, b] = strains[v, b, a] = 1.0 / size
         return strains
-
-
-def _ask(
-    comm: Comm, holder: GlobalIndex, question: GlobalIndex, answers: Callable[[GlobalIndex, GlobalIndex], GlobalIndex]
-) -> GlobalIndex:
-    """Return the answers of the ranks ``holder`` (n,) to the rows of ``question`` (collective).
-
-    ``answers`` is called on every rank with the questions that it received and the source rank of each.
-    """
-    (asked,), counts = exchange(comm, holder, [question])
-    source = np.repeat(np.arange(comm.size), counts)
-    (answer,), _ = exchange(comm, source, [answers(asked, source)])
-    found = np.empty_like(answer)
-    found[np.argsort(holder, kind="stable")] = answer
-    return found
 
 
 def _joined(corners: GlobalIndex, source: GlobalIndex) -> tuple[int, GlobalIndex]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -187,11 +187,22 @@ def fetch(comm: Comm, holder: NDArray[Any], row: NDArray[Any], part: NDArray[Any
     -----
     Collective.
     """
-    (asked,), counts = exchange(comm, holder, [row])
-    (answer,), _ = exchange(comm, np.repeat(np.arange(comm.size), counts), [part[asked]])
-    rows = np.empty_like(answer)
-    rows[np.argsort(holder, kind="stable")] = answer
-    return rows
+    return ask(comm, holder, row, lambda asked, source: part[asked])
+
+
+def ask(
+    comm: Comm, holder: NDArray[Any], question: NDArray[Any], answers: Callable[[Any, Any], NDArray[Any]]
+) -> NDArray[Any]:
+    """Return the answers of the ranks ``holder`` (n,) to the rows of ``question`` (collective).
+
+    ``answers`` is called on every rank with the questions that it received and the source rank of each.
+    """
+    (asked,), counts = exchange(comm, holder, [question])
+    source = np.repeat(np.arange(comm.size), counts)
+    (answer,), _ = exchange(comm, source, [answers(asked, source)])
+    found = np.empty_like(answer)
+    found[np.argsort(holder, kind="stable")] = answer
+    return found
 
 
 def _starts(counts: GlobalIndex) -> GlobalIndex:

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Positive
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import (
     THIN,
     GradientOperator,
@@ -57,12 +57,7 @@ class BondAssociated(Scheme):
     horizon_ratio: ClassVar[float] = 2.015
     points_of_bonds: ClassVar[bool] = True
 
-    radius: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.radius) and self.radius > 0.0):
-            raise CaseError(f"The radius of a bond's family is a positive number of horizons, not {self.radius}.")
+    radius: Positive = 1.0
 
     def memory(self, dim: int, family: float) -> float:
         """Return the memory of the family of a bond, which is about a third of that of its particle [bytes]."""

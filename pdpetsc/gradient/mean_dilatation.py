@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, smallest
 from pdpetsc.discrete.families import Families
@@ -74,15 +74,11 @@ class MeanDilatation(Scheme):
     """
 
     scheme: Scheme
-    patch: float
-    share: float = 0.5
+    patch: Positive
+    share: NonNegative = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.patch) and self.patch > 0.0):
-            raise CaseError(f"MeanDilatation needs a positive edge of its patches, not {self.patch}.")
-        if not (math.isfinite(self.share) and self.share >= 0.0):
-            raise CaseError(f"MeanDilatation needs a share >= 0, not {self.share}.")
         if self.scheme.patches is not None:
             raise CaseError(f"{type(self.scheme).__name__} has patches already; give MeanDilatation another scheme.")
 

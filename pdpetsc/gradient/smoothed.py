@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Fraction
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import FLAT, GradientOperator, Scheme, from_bond_weights, refuse_flat
 from pdpetsc.kernels.gradient import smoothed_moments_kernel
 
@@ -41,12 +40,7 @@ class SmoothedDisplacement(Scheme):
     SmoothedDisplacement(radius=0.5)
     """
 
-    radius: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.radius) and 0.0 < self.radius < 1.0):
-            raise CaseError(f"The radius of the average lies between 0 and 1 horizons, not {self.radius}.")
+    radius: Fraction = 0.5
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""

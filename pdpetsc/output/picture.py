@@ -228,7 +228,7 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     from matplotlib.collections import LineCollection, PolyCollection
 
     drawn = PolyCollection(
-        _polygons(scene), array=scene.values[scene.cells.owner], cmap="viridis", edgecolors="face", linewidths=0.7,
+        scene.polygons(), array=scene.values[scene.cells.owner], cmap="viridis", edgecolors="face", linewidths=0.7,
         rasterized=True,
     )  # fmt: skip
     drawn.set_clim(*scene.limits)
@@ -241,12 +241,6 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     _scale_of_colours(figure, axes, drawn, scene)
     if scene.horizon:
         _horizon(axes, scene, low, high)
-
-
-def _polygons(scene: Scene) -> list[Float]:
-    """Return the corners (m, dim) of each drawn cell."""
-    cells = scene.cells
-    return np.split(cells.points[cells.corners], cells.offsets[1:-1])
 
 
 def _horizon(axes: Any, scene: Scene, low: Float, high: Float) -> None:
@@ -275,7 +269,7 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     Poly3DCollection: Any = importlib.import_module("mpl_toolkits.mplot3d.art3d").Poly3DCollection
 
     extent = np.maximum(high - low, 1e-3 * float((high - low).max()))
-    drawn = Poly3DCollection(_polygons(scene), cmap="viridis", linewidths=0.2)
+    drawn = Poly3DCollection(scene.polygons(), cmap="viridis", linewidths=0.2)
     drawn.set_array(scene.values[scene.cells.owner])
     axes.add_collection3d(drawn)
     drawn.set_edgecolor("face")

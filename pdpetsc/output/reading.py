@@ -123,10 +123,10 @@ class StoredFields:
         with self._open() as file:
             return list(file[self._group(step)])
 
-    def is_entry(self, name: str, step: int | None = None) -> bool:
+    def is_entry(self, name: str) -> bool:
         """Return True if a field is an entry of a tensor that is a field too, as ``stress_xx`` of ``stress``."""
         with self._open() as file:
-            return bool(file[self._group(step)][name].is_virtual)
+            return bool(file[self._group(None)][name].is_virtual)
 
     def field(self, name: str, step: int | None = None, stride: int = 1) -> NDArray[Any]:
         """Return a field of a step, the last one by default: (n,), (n, 3) or (n, 3, 3).

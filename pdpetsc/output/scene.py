@@ -81,6 +81,10 @@ class Scene:
     limits: tuple[float, float]
     cuts: Sequence[Cut] = ()
 
+    def polygons(self) -> list[Float]:
+        """Return the corners (m, dim) of each drawn cell."""
+        return np.split(self.cells.points[self.cells.corners], self.cells.offsets[1:-1])
+
 
 def scene_of(
     folder: Path, name: str, component: str, scale: float, title: str, step: int | None = None,

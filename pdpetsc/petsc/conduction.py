@@ -36,79 +36,73 @@ class ScalarMatrix:
     ----------
     cloud : Cloud
         The particles.
-    near : (n_local, n_local) sparse
+    of_rank : (n_local, n_local) sparse
         Contribution of this rank to A, over its particles with ghosts.
     held : (n_owned,) bool
         Particles with prescribed x.
     options : Options
         Options of the run.
 
+    Attributes
+    ----------
+    mat : PETSc.Mat
+        A, with rows and columns of prescribed values and isolated particles replaced by a diagonal.
+    near : PETSc.Mat
+        ``mat`` with a shifted diagonal, which is regular for unsupported pieces.
+    scale : float
+        The largest entry of the diagonal, 1 if A is zero.
+
     Notes
     -----
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, cloud: Cloud, near: scipy.sparse.csr_matrix, held: Mask, options: Options) -> None:
+    def __init__(self, cloud: Cloud, of_rank: scipy.sparse.csr_matrix, held: Mask, options: Options) -> None:
         self._cloud = cloud
         self._held = held
         self._diagonal = np.zeros(cloud.n_owned)
-        entries = near.tocoo()
+        entries = of_rank.tocoo()
         rows, columns = cloud.row[entries.row], cloud.row[entries.col]
         sizes = (cloud.n_owned, cloud.n_global)
         self._whole = assembled(cloud.comm, sizes, Entries(rows, columns, entries.data), 0.0)
         rows = (cloud.first + np.flatnonzero(held)).astype(PETSc.IntType)
-        self._inside = self._whole.copy()
+        self.mat = self._whole.copy()
         # Isolated particles keep their value.
-        self._inside.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        diagonal = self._inside.getDiagonal()
+        self.mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        diagonal = self.mat.getDiagonal()
         self._diagonal[:] = diagonal.getArray(readonly=True)
         scale = float(diagonal.max()[1])
         lonely = diagonal.getArray(readonly=True) <= 0.0
-        self._scale = scale if scale > 0.0 else 1.0
-        diagonal.setArray(np.where(lonely, self._scale, diagonal.getArray(readonly=True)))
-        self._inside.setDiagonal(diagonal)
-        self._inside.assemble()
-        self._inside.zeroRowsColumns(rows, diag=self._scale)
+        self.scale = scale if scale > 0.0 else 1.0
+        diagonal.setArray(np.where(lonely, self.scale, diagonal.getArray(readonly=True)))
+        self.mat.setDiagonal(diagonal)
+        self.mat.assemble()
+        self.mat.zeroRowsColumns(rows, diag=self.scale)
         self._lonely = lonely
         # The system does not determine the mean value of an unsupported piece; the preconditioning matrix does.
-        self._near = self._inside.copy()
-        diagonal.setArray(np.full(cloud.n_owned, LIFTED * self._scale))
-        self._near.setDiagonal(diagonal, addv=True)
-        self._near.assemble()
+        self.near = self.mat.copy()
+        diagonal.setArray(np.full(cloud.n_owned, LIFTED * self.scale))
+        self.near.setDiagonal(diagonal, addv=True)
+        self.near.assemble()
         diagonal.destroy()
-        for mat in (self._inside, self._near):
+        for mat in (self.mat, self.near):
             mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._near.setOption(PETSc.Mat.Option.SPD, True)
+        self.near.setOption(PETSc.Mat.Option.SPD, True)
         self._ksp = PETSc.KSP().create(comm=cloud.comm)
         self._ksp.setOptionsPrefix(PREFIX)
         self._ksp.setType("cg")
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        self._ksp.setOperators(self._inside, self._near)
+        self._ksp.setOperators(self.mat, self.near)
         self._ksp.setInitialGuessNonzero(True)
         options.suggest(FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
         with options.active():
             self._ksp.setFromOptions()
             self._ksp.setUp()
 
-    @property
-    def mat(self) -> PETSc.Mat:
-        """Return A, with rows and columns of prescribed values and isolated particles replaced by a diagonal."""
-        return self._inside
-
-    @property
-    def near(self) -> PETSc.Mat:
-        """Return ``mat`` with a shifted diagonal, which is regular for unsupported pieces."""
-        return self._near
-
-    @property
-    def scale(self) -> float:
-        """Return the largest entry of the diagonal, 1 if A is zero (not collective)."""
-        return self._scale
-
     def residual(self, values: Float, b: Float, given: Float) -> Float:
         """Compute ``A v - b`` (n_owned,); for prescribed and isolated particles, the scale times the deviation."""
         found = self.product(np.where(self._held | self._lonely, given, values)) - b
-        return np.where(self._held | self._lonely, self._scale * (values - given), found)
+        return np.where(self._held | self._lonely, self.scale * (values - given), found)
 
     def round_off(self, values: Float) -> float:
         """Compute the norm of the round-off of ``A v`` in a residual (collective)."""
@@ -134,28 +128,24 @@ class ScalarMatrix:
         # Isolated particles keep their value if no heat enters them.
         stuck = np.where(self._lonely & ~self._held, np.abs(residual), 0.0)
         residual[self._held | self._lonely] = 0.0
-        x, r = self._inside.createVecs()
-        round_off = r.duplicate()
+        x, r = self.mat.createVecs()
         r.setArray(residual)
         size = r.norm()
         found, good = start.copy(), True
         if size > 0.0:
             x.set(0.0)
-            round_off.setArray(self._diagonal * np.abs(start))
-            floor = FLOOR * float(np.finfo(float).eps) * round_off.norm()
+            floor = self.round_off(start)
             self._ksp.setTolerances(rtol=RTOL, atol=floor, max_it=MOST)
             self._ksp.solve(r, x)
             found += x.getArray(readonly=True)
-            self._inside.multAdd(-1.0 * x, r, r)
-            round_off.setArray(self._diagonal * np.abs(found))
-            floor = max(floor, 2.0 * FLOOR * float(np.finfo(float).eps) * round_off.norm())
+            self.mat.multAdd(-1.0 * x, r, r)
+            floor = max(floor, 2.0 * self.round_off(found))
             good = bool(np.isfinite(r.norm()) and r.norm() <= max(GOOD * size, floor))
-        for vector in (x, r, round_off):
-            vector.destroy()
+        x.destroy(), r.destroy()
         lost, whole = total(self._cloud.comm, [float((stuck**2).sum()), float((b**2).sum())])
         return found, good and bool(lost <= GOOD**2 * whole)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        for thing in (self._ksp, self._near, self._inside, self._whole):
+        for thing in (self._ksp, self.near, self.mat, self._whole):
             thing.destroy()

@@ -188,11 +188,6 @@ class BondForces(MaterialTerm):
         return not self._is_nonlocal and not (fades and self.a is not None)
 
     @property
-    def within_families(self) -> bool:
-        """Return True."""
-        return True
-
-    @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
         """Return the bonds; the families if there is a dilatation or a nonlocal driving variable."""
         if self.a is not None or self._is_nonlocal:

@@ -45,10 +45,6 @@ class ChosenFacets:
         """Return the sums over the entries of each facet (n_facets, dim) of values (n_entries, dim)."""
         return np.stack([np.bincount(self.of, along, len(self.x)) for along in values.T], axis=1)
 
-    def interpolated(self, values: Float) -> Float:
-        """Interpolate values of local particles (n_local, dim) to the facets (n_facets, dim)."""
-        return self.sums(self.N[:, None] * values[self.stencils.members])
-
     def spread(self, force: Float, f: Float) -> None:
         """Subtract forces on the facets (n_facets, dim) from a residual of local particles (n_local, dim)."""
         np.add.at(f, self.stencils.members, -self.N[:, None] * force[self.of])

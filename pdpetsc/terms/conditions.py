@@ -413,13 +413,9 @@ class Applied:
         self.heat.append((name, condition, select(self.body.cloud, condition.region, name)))
 
     def heat_flux(self, condition: HeatFlux | Convection, name: str) -> None:
-        """Store a heat flux through facets."""
+        """Store a heat flux through facets, given or by convection."""
         assert self.body.surface is not None
         self.heat.append((name, condition, self.body.surface.select(self.body.cloud, condition.region, name)))
-
-    def convection(self, condition: Convection, name: str) -> None:
-        """Store the convection of facets."""
-        self.heat_flux(condition, name)
 
     def _where(self, condition: VectorCondition, name: str) -> tuple[Mask, list[tuple[int, Value]]]:
         """Return own particles in the region of a condition, and its components, checked on all ranks (collective)."""

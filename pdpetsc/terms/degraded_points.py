@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.control.base import Control
+from pdpetsc.control.tangent_scaled import YieldingFamilies
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
@@ -35,22 +36,8 @@ MOST_LISTED = 4096
 RESIDUAL = 1e-8
 # Number of directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}
-
-
-class DrivingControl(Protocol):
-    """Define the interface of a zero-energy control for the points of its families (methods of ``Control``)."""
-
-    def families_at(self, particles: LocalIndex) -> StencilMembers:
-        """Return the families of some own particles, centre first."""
-        ...
-
-    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
-        """Compute the derivative of their energies by the displacements of their members (n_entries, dim) [force]."""
-        ...
-
-    def family_energy(self, u: Float) -> Float:
-        """Compute the energy of the family of every own particle (n_owned,) [energy]."""
-        ...
+# Zero-energy control whose energies drive the points of its families.
+DrivingControl: TypeAlias = Control | YieldingFamilies
 
 
 class Driven(NamedTuple):

@@ -22,7 +22,7 @@ from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints, Drivi
 from pdpetsc.terms.material_points import MaterialPoints
 
 
-class Families(NamedTuple):
+class YieldedFamilies(NamedTuple):
     """Store the families of a control at a state.
 
     Attributes
@@ -98,17 +98,17 @@ class TangentScaledForces(ControlForces):
         secant, fading = self.families(state).secant, self._fading(state)
         return secant if fading is None else secant.faded(fading)
 
-    def families(self, state: State) -> Families:
+    def families(self, state: State) -> YieldedFamilies:
         """Return the families at a state, cached."""
 
-        def make() -> Families:
+        def make() -> YieldedFamilies:
             u, ptr, members = state.u_local, self._members.point_ptr, self._members.members
             forces = self.control.family_forces(u)
             # Displacements relative to the centre, so that a translation of the family causes no round-off.
             eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
             doubled = np.add.reduceat(np.einsum("ei,ei->e", forces, eta), ptr[:-1])
             e = np.sqrt(np.maximum(doubled, 0.0))
-            return Families(e, forces, self.control.scaled(self._yielding.secant(e)))
+            return YieldedFamilies(e, forces, self.control.scaled(self._yielding.secant(e)))
 
         changed = 0 if self.damage is None else self.damage.version
         return state.kept(("families", self.version, changed, id(self.control)), make)

@@ -230,7 +230,7 @@ class Problem:
         if last is None or moved:
             self._last = last = State(self.body, u.copy(), self.clock(t))
         elif damaged:
-            self._last = last = last.after_damage()
+            self._last = last = last.after_damage(self.clock(t))
         self._last_version = self.version
         return last
 

@@ -84,9 +84,9 @@ class State:
         value: T = self._kept[key]
         return value
 
-    def after_damage(self) -> State:
+    def after_damage(self, clock: Clock) -> State:
         """Return the state with the same displacements and elongations, after damage or histories have changed."""
-        state = State(self.body, self.u, self._clock, self._u_local)
+        state = State(self.body, self.u, clock, self._u_local)
         state._elongated = self._elongated
         return state
 

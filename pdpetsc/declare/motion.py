@@ -11,11 +11,13 @@ import scipy
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.conditions import evaluated
 from pdpetsc.declare.schedule import Ramp, Schedule
-from pdpetsc.declared import Declared, Finite
+from pdpetsc.declared import Declared, Finite, Positive
 from pdpetsc.errors import CaseError
 
 # Number of components of a rotation by the dimension.
 ROTATIONS = {1: 0, 2: 1, 3: 3}
+# Rounding of moments of inertia.
+ROUNDED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class RigidMotion(Declared):
     With the factor ``s(t)`` of the schedule, ``d = s move``, R is the rotation by ``s turn``, and ``c = about``. Each
     component may have a schedule of its own, so that a tool presses first and slides then.
 
-    A tool or region with a load is a rigid body in equilibrium. Components of d with a force, and the rotation with a
-    moment, follow from it.
+    A tool or region with a load is a rigid body, in equilibrium or in motion. Components of d with a force, and the
+    rotation with a moment, follow from it.
 
     Parameters
     ----------
@@ -46,6 +48,11 @@ class RigidMotion(Declared):
     schedule : callable or sequence of callables, optional
         Factor on motions and loads as a function of the load parameter; ``Ramp()`` by default. A sequence has one for
         each direction, then one for the rotation if ``turn`` or ``moment`` is declared.
+    mass : float, optional
+        Mass at ``about``, with ``force``, in a motion (``Implicit``, ``Explicit``) [mass].
+    inertia : float, sequence of float or of such sequences, optional
+        Moment of inertia of that mass about ``about``, with ``moment``, in a motion [mass length^2]. In space one number
+        for all axes, three for the axes x, y, z at the start, or a symmetric matrix (3, 3) for them.
     """
 
     move: Sequence[float] = field(default=(), kw_only=True)
@@ -54,6 +61,8 @@ class RigidMotion(Declared):
     force: Sequence[float | None] = field(default=(), kw_only=True)
     moment: Finite | Sequence[float] = field(default=(), kw_only=True)
     schedule: Schedule | Sequence[Schedule] = field(default_factory=Ramp, kw_only=True)
+    mass: Positive | None = field(default=None, kw_only=True)
+    inertia: Positive | Sequence[float] | Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
 
     @property
     def turns(self) -> bool:
@@ -101,6 +110,12 @@ class RigidMotion(Declared):
         if both or (self.twisted and np.any(np.ravel(self.turn))):
             what = f"a motion and a force in {both[0]}" if both else "a turn and a moment"
             raise CaseError(f"{title} has {what}. Leave one of them out: the load determines the motion.")
+        lacking = [("mass", "force")] if self.mass is not None and not self.free(dim)[:dim].any() else []
+        lacking += [("inertia", "moment")] if self.inertia is not None and not self.twisted else []
+        for has, needs in lacking:
+            raise CaseError(f"{title} has {has} without {needs}. Give a {needs}, such as 0.")
+        if self.inertia is not None:
+            self._check_inertia(dim)
         if not callable(self.schedule):
             needed = max(len(self.move), len(self.force)) + self.turns
             if len(self.schedule) != needed:
@@ -109,6 +124,28 @@ class RigidMotion(Declared):
                     f"direction{', then one for the rotation' if self.turns else ''}."
                 )
 
+    def _check_inertia(self, dim: int) -> None:
+        """Raise CaseError if there are no bodies with the moments of inertia."""
+        title, given = type(self).__name__, np.shape(self.inertia)
+        if given not in ((), (3,), (3, 3)) or (dim != 3 and given != ()):
+            needed = "three numbers or a matrix (3, 3)" if dim == 3 else "a number"
+            raise CaseError(f"{title} has an inertia of shape {given} in {dim} dimensions; give {needed}.")
+        J = self.tensor
+        principal = np.linalg.eigvalsh(0.5 * (J + J.T))
+        if not np.allclose(J, J.T, rtol=0.0, atol=ROUNDED * np.abs(J).max()) or principal[0] <= 0.0:
+            raise CaseError(f"{title} has an inertia that is not symmetric and positive. Correct it.")
+        if principal[2] > (principal[0] + principal[1]) * (1.0 + ROUNDED):
+            raise CaseError(
+                f"{title} has principal moments of inertia {', '.join(f'{one:g}' for one in principal)}, and no body "
+                f"has one that exceeds the sum of the others. Correct them."
+            )
+
+    @property
+    def tensor(self) -> Float:
+        """Return the declared moments of inertia (3, 3) [mass length^2]; 0 for none."""
+        J = np.asarray(0.0 if self.inertia is None else self.inertia, dtype=float)
+        return J if J.ndim == 2 else np.eye(3) * J
+
     def _factors(self, t: float) -> list[float]:
         """Return the factor of each direction, then that of the rotation."""
         what = f"schedule of a {type(self).__name__}"
@@ -116,10 +153,6 @@ class RigidMotion(Declared):
             return [float(evaluated(what, self.schedule, (), t, t))] * (max(len(self.move), len(self.force)) + 1)
         found = [float(evaluated(what, one, (), t, t)) for one in self.schedule]
         return found if self.turns else [*found, 0.0]
-
-    def masses(self, dim: int) -> Float | None:
-        """Return mass and moment of inertia by component (dim + rotations,); None for a body without mass."""
-        return None
 
     def velocities(self, dim: int) -> Float:
         """Return the initial velocity by component (dim + rotations,) [length / time], [1 / time]."""

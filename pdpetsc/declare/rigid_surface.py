@@ -41,7 +41,7 @@ class RigidSurface(RigidTool):
     parts : (m, dim) array_like of int, optional
         Numbers of the vertices of each segment in 2D, of each triangle in space, in any sense; by default the segments
         from each vertex to the next, and from the last to the first.
-    move, turn, about, force, moment, schedule, mass, inertia, velocity
+    move, turn, about, force, moment, schedule, mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Raises
@@ -75,7 +75,7 @@ class RigidSurface(RigidTool):
             A file of any format of ``Mesh``, or STL.
         unit : float
             Length of the unit of the file [length].
-        move, turn, about, force, moment, schedule, mass, inertia, velocity
+        move, turn, about, force, moment, schedule, mass, inertia, velocity, spin
             As for ``RigidTool``.
         """
         mesh = read_surface(Path(path))

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.declare.region import Region
-from pdpetsc.declared import Fraction, NonNegative, Positive
+from pdpetsc.declared import Finite, Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 
@@ -25,13 +25,12 @@ class RigidTool(RigidMotion, ABC):
     ----------
     move, turn, about, force, moment, schedule
         Its motion, as for ``RigidMotion``.
-    mass : float, optional
-        Its mass, for a tool with ``force`` in a motion (``Implicit``, ``Explicit``) [mass].
-    inertia : float, optional
-        Its moment of inertia about ``about``, its centre of mass, for a tool with ``moment`` in a motion; in space the
-        same about all axes [mass length^2].
+    mass, inertia
+        Its mass and moments of inertia in a motion, as for ``RigidMotion``; ``about`` is its centre of mass.
     velocity : sequence of float, optional
         Initial velocity of the directions with a force (dim,) [length / time]; 0 by default.
+    spin : float or sequence of float, optional
+        Initial angular velocity of a tool with a moment, as ``turn`` [rad / time]; 0 by default.
 
     Examples
     --------
@@ -41,37 +40,32 @@ class RigidTool(RigidMotion, ABC):
     True
     """
 
-    mass: Positive | None = field(default=None, kw_only=True)
-    inertia: Positive | None = field(default=None, kw_only=True)
     velocity: Sequence[float] = field(default=(), kw_only=True)
+    spin: Finite | Sequence[float] = field(default=(), kw_only=True)
 
     def check(self, dim: int) -> None:
-        """Raise CaseError if vectors have another number of components than ``dim``, or the mass lacks its load."""
+        """Raise CaseError if vectors have another number of components than ``dim``, or a rate lacks its load."""
         super().check(dim)
+        title, spin = type(self).__name__, np.ravel(self.spin)
         if len(self.velocity) not in (0, dim):
-            raise CaseError(f"{type(self).__name__} has a velocity of {len(self.velocity)} numbers; give {dim}.")
-        pushed = self.free(dim)[:dim]
-        lacking = [("mass", "force")] if self.mass is not None and not pushed.any() else []
-        lacking += [("inertia", "moment")] if self.inertia is not None and not self.twisted else []
-        for has, needs in lacking:
-            raise CaseError(f"{type(self).__name__} has {has} without {needs}. Give a {needs}, such as 0.")
-        if any(v != 0.0 and not follows for v, follows in zip(self.velocity, pushed, strict=False)):
+            raise CaseError(f"{title} has a velocity of {len(self.velocity)} numbers; give {dim}.")
+        if any(v != 0.0 and not free for v, free in zip(self.velocity, self.free(dim)[:dim], strict=False)):
             raise CaseError(
-                f"{type(self).__name__} has a velocity in a direction without force. Give a force there, such as 0, or "
-                f"prescribe the motion with move."
+                f"{title} has a velocity in a direction without force. Give a force there, such as 0, or prescribe the "
+                f"motion with move."
             )
-
-    def masses(self, dim: int) -> Float | None:
-        """Return mass and moment of inertia by component (dim + rotations,); None unless every load has its mass."""
-        if (self.free(dim)[:dim].any() and self.mass is None) or (self.twisted and self.inertia is None):
-            return None
-        return np.array([self.mass or 1.0] * dim + [self.inertia or 1.0] * ROTATIONS[dim])
+        if len(spin) not in (0, ROTATIONS[dim]):
+            raise CaseError(f"{title} has a spin of {len(spin)} numbers in {dim} dimensions; give {ROTATIONS[dim]}.")
+        if len(spin) and not self.twisted:
+            raise CaseError(f"{title} has a spin without moment. Give a moment, such as 0.")
 
     def velocities(self, dim: int) -> Float:
         """Return the initial velocity by component (dim + rotations,) [length / time], [1 / time]."""
         found = super().velocities(dim)
         if len(self.velocity):
             found[:dim] = self.velocity
+        if len(np.ravel(self.spin)):
+            found[dim:] = self.spin
         return found
 
     @abstractmethod
@@ -116,7 +110,7 @@ class RigidPlane(RigidTool):
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
-    mass, inertia, velocity
+    mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Examples
@@ -156,7 +150,7 @@ class RigidBox(RigidTool):
         Radius of its edges and corners [length]; 0 by default.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
-    mass, inertia, velocity
+    mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Examples
@@ -211,7 +205,7 @@ class RigidSphere(RigidTool):
         If True, the body is inside of the ball.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
-    mass, inertia, velocity
+    mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Examples
@@ -250,7 +244,7 @@ class RigidCylinder(RigidTool):
         If True, the body is inside of the cylinder.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
-    mass, inertia, velocity
+    mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Examples

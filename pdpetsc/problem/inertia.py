@@ -13,6 +13,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import PointBlocks, Product, ScaledProduct
 from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.body import Body
+from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 
@@ -49,8 +50,8 @@ class Inertia(Term):
     Index 0 is the last converged step, ``s_0`` the sum of all other forces and of damping there. The residual is that
     of a generalised-alpha step over ``1 - alpha_f``. Its forces are those of the end of the step and of the start, so
     that materials are evaluated where their history is updated. Velocity and acceleration follow from Newmark's
-    formulas. M is lumped: the masses of the particles. Held components have no
-    inertia here.
+    formulas. M is lumped: the masses of the particles. Held components have no inertia here; that of particles of a
+    rigid region in motion belongs to the region.
 
     Parameters
     ----------
@@ -98,6 +99,10 @@ class Inertia(Term):
         ``K_0`` of implicit steps; set by the solver.
     viscosity : ShockViscosity or None
         Viscosity of shocks in explicit steps.
+    bodies : list of RigidBody
+        Loaded rigid bodies with mass; set by ``carry``.
+    carried : (n_owned,) bool
+        Particles that move with one.
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
 
@@ -127,6 +132,33 @@ class Inertia(Term):
         self.resistance: Resistance | None = None
         self.viscosity: ShockViscosity | None = None
         self.begin = np.zeros((n, dim))
+        self.bodies: list[RigidBody] = []
+        self.carried = np.zeros(n, dtype=bool)
+
+    def carry(self, bodies: Sequence[RigidBody]) -> None:
+        """Move rigid bodies: regions have the masses and initial velocities of their particles (collective)."""
+        n, x = len(self.mass), self._body.cloud.x
+        self.bodies = list(bodies)
+        for rigid in self.bodies:
+            if rigid.rows is not None:
+                rows = rigid.rows[:n]
+                rigid.weigh(self.mass[rows], x[:n][rows], self.v[rows])
+                self.carried |= rows
+        self.v[:] = self.with_bodies(self.v, self.u, 0.0)
+
+    def with_bodies(self, v: Float, u: Float, t: float, dt: float = 0.0) -> Float:
+        """Return velocities (n_owned, dim), of particles of rigid regions those of the regions (not collective).
+
+        They are those at the end of the last converged step, or of an implicit step of the length ``dt``.
+        """
+        if not self.carried.any():
+            return v
+        found, x = v.copy(), self._body.cloud.x
+        for rigid in self.bodies:
+            if rigid.rows is not None:
+                rows = rigid.rows[: len(v)]
+                found[rows] = rigid.carried(x[: len(v)][rows], u[rows], t, self.blend if dt > 0.0 else None, dt)
+        return found
 
     def _damper(self) -> Float | None:
         if self._rate is None:
@@ -184,7 +216,7 @@ class Inertia(Term):
         a = (moved - dt * self.v) / (beta * dt**2) - (0.5 / beta - 1.0) * self.a
         v = self.v + dt * ((1.0 - gamma) * self.a + gamma * a)
         mean = moved / dt
-        held = mean if self.held is None else self.held
+        held = self.with_bodies(mean if self.held is None else self.held, state.own, state.t, dt)
         return np.where(self._free, v, held), np.where(self._free, a, (held - self.v) / dt)
 
     def ahead(self, t: float) -> Float:
@@ -197,7 +229,7 @@ class Inertia(Term):
         return np.where(self._free, self.mass[:, None] * self.motion(state)[1], 0.0)
 
     def damped(self, velocity: Float) -> Float:
-        """Return the forces of damping of the free components (n_owned, dim) [force].
+        """Return the forces of damping of the free components and of rigid regions (n_owned, dim) [force].
 
         Collective with a ``resistance``.
         """
@@ -208,7 +240,7 @@ class Inertia(Term):
             rows = np.zeros((self._body.cloud.n_rows, self._body.dim))
             rows[: len(velocity)] = velocity
             force += self.damping_time * self.resistance(rows)[: len(velocity)]
-        return np.where(self._free, force, 0.0)
+        return np.where(self._free | self.carried[:, None], force, 0.0)
 
     def begin_step(self, internal: Float, external: Float) -> None:
         """Store the forces (n_rows, dim) [force] at the start of the next step."""
@@ -252,7 +284,7 @@ class Inertia(Term):
         if dt <= 0.0 or not self.active:
             return []
         rate = (1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2)
-        blocks = (rate * self.mass)[:, None, None] * np.eye(self._body.dim)
+        blocks = np.where(self.carried, 0.0, rate * self.mass)[:, None, None] * np.eye(self._body.dim)
         per_displacement = blend.gamma / (blend.beta * dt)
         if self.damper is not None:
             blocks += per_displacement * self.damper
@@ -261,18 +293,20 @@ class Inertia(Term):
         return [PointBlocks(blocks), *(ScaledProduct(one, factor) for one in of_stiffness)]
 
     def energy(self, state: State) -> float:
-        """Return the kinetic energy of this rank [energy] (not collective)."""
-        return 0.5 * float(self.mass @ (self.motion(state)[0] ** 2).sum(axis=1))
+        """Return the kinetic energy of this rank [energy] (not collective); that of declared masses on the first."""
+        added = sum(rigid.added_kinetic for rigid in self.bodies) if self._body.cloud.comm.rank == 0 else 0.0
+        return added + 0.5 * float(self.mass @ (self.motion(state)[0] ** 2).sum(axis=1))
 
     def energy_of_free(self, dt: float = 0.0) -> float:
         """Return ``sum m (v - dt a / 2) (v + dt a / 2) / 2`` of the free components on this rank [energy].
 
-        They are those of the last converged step. Without ``dt`` it is the kinetic energy. With the time step of
+        Those of rigid bodies are included on the first rank. They are those of the last converged step. Without ``dt`` it is the kinetic energy. With the time step of
         central differences, these are the velocities half a step before and after; a linear motion conserves its energy
         with them (not collective).
         """
         squares = np.where(self._free, self.v**2 - (0.5 * dt * self.a) ** 2, 0.0)
-        return 0.5 * float(self.mass @ squares.sum(axis=1))
+        rigid = sum(one.kinetic(dt) for one in self.bodies) if self._body.cloud.comm.rank == 0 else 0.0
+        return rigid + 0.5 * float(self.mass @ squares.sum(axis=1))
 
     def commit(self, state: State) -> None:
         """Store the motion at the end of the step."""

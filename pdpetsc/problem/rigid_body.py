@@ -1,4 +1,4 @@
-"""Motion of a rigid tool or region: prescribed, or that of a rigid body in equilibrium with its load."""
+"""Motion of a rigid tool or region: prescribed, or that of a rigid body under its load."""
 
 from __future__ import annotations
 
@@ -6,23 +6,40 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.motion import ROTATIONS, RigidMotion
-from pdpetsc.discrete.communicator import Comm
+from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.errors import CaseError
 from pdpetsc.problem.blend import Blend
+from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation, rotation_vector, skew
 from pdpetsc.problem.state import State
 
 # Number of load parameters at which loads are compared.
 SAMPLES = 21
+# Components of displacement and rotation by the dimension, among those of space.
+COMPONENTS = {1: [0], 2: [0, 1, 5], 3: [0, 1, 2, 3, 4, 5]}
+# Step of differences in time over a time step.
+SMALL = 1e-3
+# Number of iterations for the motion under constant forces, by Newton's method.
+ITERATIONS = 6
+# Largest rotation in an implicit step [rad].
+MOST_TURN = 2.0
+# Distance of the centre of mass from a point over the size of a region at which they agree.
+NEAR = 1e-9
+# Smallest moment of inertia of a region over the largest.
+LEAST = 1e-10
+# Rows of the rates: velocity of P in space and angular velocity in the axes of the body; their algorithmic rates; rates
+# of momentum and angular momentum, and forces of the body less the load, in space.
+VELOCITY, ACCELERATION, RATE, FORCE = range(4)
 
 
 class RigidBody:
     """Store the motion of a rigid tool or region.
 
-    A point X moves to ``R (X - c) + c + d`` with ``c = about``. Components of d with a force, and R with a moment, are
-    found by solvers (``RigidBodies``); they move on linearly within a step.
+    A point X moves to ``R (X - P) + P + d``, with P the point ``about``; the centre of mass of a region in free motion.
+    Components of d with a force, and R with a moment, are found by solvers (``RigidBodies``); they move on linearly
+    within a step.
 
     Parameters
     ----------
@@ -34,39 +51,118 @@ class RigidBody:
         Dimension.
     owner : (n,) int32
         Own particles of this rank that the tool may touch or that move with the region, ascending.
-    rows : (n_rows,) bool, optional
-        Particles that move with a region; None for a tool.
     title : str
         What it is, in messages.
+    rows : (n_rows,) bool, optional
+        Particles that move with a region; None for a tool.
+    fictitious : bool
+        Whether the particles of a region lie outside the body.
 
     Attributes
     ----------
     free : (dim + n_rotations,) bool
         Components of displacement and rotation that follow from the load.
-    masses : (dim + n_rotations,) float64 or None
-        Mass and moment of inertia by component; None for a body without mass.
+    inertia : RigidInertia or None
+        Mass and moments of inertia; None for a body without mass.
     kept : (n, n_kept) float64
         Displacement, rotation and rates of the last converged step for a restart, the same for each owner.
     """
 
     def __init__(
-        self, declared: RigidMotion, comm: Comm, dim: int, owner: LocalIndex, title: str, rows: Mask | None = None
-    ) -> None:
+        self, declared: RigidMotion, comm: Comm, dim: int, owner: LocalIndex, title: str, rows: Mask | None = None,
+        fictitious: bool = False,
+    ) -> None:  # fmt: skip
         self.declared, self.rows, self.title = declared, rows, title
-        self._comm, self._dim = comm, dim
+        self._comm, self._dim, self._fictitious = comm, dim, fictitious
         self.free = declared.free(dim)
+        self._of = np.array(COMPONENTS[dim])
+        self._free = self._in_space(self.free) > 0.0
         self._about = np.asarray(declared.about, dtype=float) if declared.turns else np.zeros(dim)
+        # The point of the load as seen from P, in the axes of the body.
+        self._arm = np.zeros(3)
         # Displacement and rotation at the start of the step and now; for each owner those of the last converged step.
         self._d, self._R = np.zeros((2, dim)), np.stack([np.eye(3), np.eye(3)])
-        self.masses = declared.masses(dim)
-        # Velocity, acceleration, and the forces of the body less the load, by component, at both ends of the step; the
-        # velocity in its middle.
-        self._rates = np.zeros((3, len(self.free)))
-        self._rates[0] = np.where(self.free, declared.velocities(dim), 0.0)
-        self._ended_rates, self._half = self._rates.copy(), self._rates[0]
+        pushed, turned = (declared.mass is not None) >= self.free[:dim].any(), declared.inertia is not None
+        self.inertia: RigidInertia | None = None
+        if declared.loaded and pushed and turned >= declared.twisted:
+            self.inertia = RigidInertia(declared.mass or 1.0, declared.tensor if turned else np.eye(3))
+        # At both ends of the step; the motion in its middle, of central differences.
+        self._rates = np.zeros((4, 6))
+        self._rates[VELOCITY] = self._in_space(np.where(self.free, declared.velocities(dim), 0.0))
+        self._ended_rates, self._half = self._rates.copy(), np.zeros(6)
+        self._way = np.zeros(6)
         self.kept = np.tile(self._both, (len(owner), 1))
         self._span = (0.0, 0.0)
-        self._ended = False
+        self._ended, self._fresh = False, True
+
+    def _in_space(self, components: Float | Mask) -> Float:
+        """Return six numbers of space for components of displacement and rotation."""
+        found = np.zeros(6)
+        found[self._of] = components
+        return found
+
+    def weigh(self, mass: Float, x: Float, velocity: Float) -> None:
+        """Set the inertia of a region in motion from its particles, and its initial velocity (collective).
+
+        Particles have the moments of inertia of points. The region begins with the momentum and angular momentum of
+        its particles; declared mass moves with it.
+
+        Parameters
+        ----------
+        mass, x, velocity : (n,), (n, dim), (n, dim) float64
+            Masses, positions and initial velocities of the particles of this rank [mass], [length], [length / time].
+
+        Raises
+        ------
+        CaseError
+            On all ranks: the load does not determine the motion, or an axis has no moment of inertia.
+        """
+        if self._fictitious:
+            raise CaseError(
+                f"{self.title} is the layers beyond a side of a Lattice, which have no mass of their own. Use "
+                f"LatticeNodes, or name a region of particles."
+            )
+        declared, dim = self.declared, self._dim
+        whole = np.zeros((2, len(mass), 3))
+        whole[:, :, :dim] = x, velocity
+        x, velocity = whole
+        about = np.zeros(3)
+        about[:dim] = self._about
+        added = declared.mass or 0.0
+        sums = total(self._comm, np.concatenate([[mass.sum()], mass @ x, mass @ velocity]))
+        M, first, momentum = float(sums[0]) + added, sums[1:4], sums[4:]
+        centre = (first + added * about) / M if declared.turns else first / sums[0]
+        point, pushed = about, self.free[:dim]
+        if pushed.all() or not declared.turns:
+            point = centre
+        elif pushed.any() or np.any(declared.move):
+            size = np.sqrt(total(self._comm, float(mass @ ((x - centre) ** 2).sum(axis=1))) / M)
+            if np.linalg.norm(centre - about) > NEAR * (size + np.linalg.norm(centre)):
+                raise CaseError(
+                    f"{self.title} turns about a point that is not its centre of mass "
+                    f"{tuple(round(float(one), 9) for one in centre[:dim])}, with some directions prescribed. Turn it "
+                    f"about that, or give a force in every direction, or none."
+                )
+        self._about, self._arm = point[:dim], about - point if declared.turns else np.zeros(3)
+        arms = x - point
+        of_particles = total(self._comm, about_point(mass, arms))
+        J = of_particles + declared.tensor + about_point(np.array([added]), self._arm[None])
+        if not declared.twisted:
+            J = np.eye(3)
+        principal = np.linalg.eigvalsh(J) if dim == 3 else J[2:, 2]
+        if principal[0] <= LEAST * principal[-1]:
+            raise CaseError(f"{self.title} has particles on a line, without a moment of inertia. Give it an inertia.")
+        if dim < 3:
+            J = J[2, 2] * np.eye(3)
+        self.inertia = RigidInertia(M, J)
+        # The rigid motion with the momenta of the particles.
+        spun = total(self._comm, np.cross(mass[:, None] * arms, velocity).sum(axis=0))
+        offset = skew(first - sums[0] * point)
+        G = np.block([[sums[0] * np.eye(3), -offset], [offset, of_particles]])[np.ix_(self._free, self._free)]
+        begun = np.linalg.lstsq(G, np.concatenate([momentum, spun])[self._free], rcond=LEAST)[0]
+        self._rates[VELOCITY, self._free] = begun
+        self._ended_rates[:] = self._rates
+        self.kept[:] = self._both
 
     def motion(self, t: float) -> tuple[Float, Float]:
         """Return rotation (dim, dim) and displacement (dim,) [length] at a load parameter of the step."""
@@ -79,7 +175,7 @@ class RigidBody:
         d = np.where(self.free[: self._dim], start + share * (now - start), d)
         if self.declared.twisted:
             before, after = self._R
-            turned = _rotation(share * _vector(after @ before.T)) @ before if share < 1.0 else after
+            turned = rotation(share * rotation_vector(after @ before.T)) @ before if share < 1.0 else after
             R = turned[: self._dim, : self._dim]
         return R, d
 
@@ -90,13 +186,13 @@ class RigidBody:
 
     def _take(self, both: Float) -> None:
         d, R, rates = np.split(both, (self._dim, self._dim + 9))
-        self._d[1], self._R[1], self._ended_rates = d, R.reshape(3, 3), rates.reshape(3, -1)
+        self._d[1], self._R[1], self._ended_rates = d, R.reshape(3, 3), rates.reshape(4, 6)
 
     def angle(self, before: float, t: float) -> float:
         """Return the angle of the rotation between two load parameters [rad]; of a load at most half a turn."""
         if not self.declared.twisted:
             return self.declared.angle(before, t)
-        return float(np.linalg.norm(_vector(self.motion(t)[0] @ self.motion(before)[0].T)))
+        return float(np.linalg.norm(rotation_vector(self.motion(t)[0] @ self.motion(before)[0].T)))
 
     def relative(self, x: Float, u: Float, t: float) -> tuple[Float, Float]:
         """Compute the displacements (n, dim) [length] of points ``x`` as seen from the tool, and its rotation."""
@@ -128,8 +224,16 @@ class RigidBody:
         return np.asarray(np.abs([self.load(t) for t in np.linspace(0.0, 1.0, SAMPLES)]).max(axis=0))
 
     def load(self, t: float) -> Float:
-        """Return the loads of the free components (n_free,) [force], [force length]."""
-        return self.declared.load(t, self._dim)[self.free]
+        """Return the loads of the free components about P (n_free,) [force], [force length]."""
+        found = self._in_space(self.declared.load(t, self._dim))
+        found[3:] += np.cross(self._pose(t) @ self._arm, found[:3])
+        return np.asarray(found[self._free])
+
+    def _pose(self, t: float) -> Float:
+        """Return the rotation (3, 3) at a load parameter of the step."""
+        found = np.eye(3)
+        found[: self._dim, : self._dim] = self.motion(t)[0]
+        return found
 
     def velocities(self, y: Float, t: float) -> Float:
         """Return the velocities of points at positions ``y`` (n, dim) for unit rates of the free components.
@@ -160,66 +264,172 @@ class RigidBody:
         self._d[1] += step[: self._dim]
         if self.declared.twisted:
             turn = step[self._dim :]
-            self._R[1] = _rotation(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]])) @ self._R[1]
+            self._R[1] = rotation(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]])) @ self._R[1]
 
     def start_from(self, begin: float, end: float) -> None:
         """Begin or repeat the step between two load parameters (not collective)."""
         if self._ended:
-            self._d[0], self._R[0], self._rates, self._ended = self._d[1], self._R[1], self._ended_rates.copy(), False
+            self._d[0], self._R[0], self._rates = self._d[1], self._R[1], self._ended_rates.copy()
+            self._ended, self._fresh = False, True
         self._span = (begin, end)
 
     def revert(self) -> None:
         """Return to the last converged step (not collective)."""
         if not self._ended:
-            self._d[1], self._R[1] = self._d[0], self._R[0]
+            self._d[1], self._R[1], self._fresh = self._d[0], self._R[0], True
 
     def begin(self, unbalanced: Float) -> None:
         """Set the acceleration at the start of a motion from the loads that nothing balances (n_free,)."""
-        self._rates[2, self.free] = -unbalanced
-        self._rates[1] = -self._rates[2] / self._mass
+        force = np.zeros(6)
+        force[self._free] = unbalanced
+        found = self._mass.acceleration(force, self._rates[VELOCITY], np.eye(3))
+        self._rates[1:] = np.where(self._free, [found, force, -force], 0.0)
         self._ended_rates = self._rates.copy()
 
-    def fly(self, t: float, dt: float) -> None:
-        """Move by a time step of central differences from load parameter ``t``, with the acceleration there."""
-        self._span = (t, t)
-        self._half = self._rates[0] + 0.5 * dt * self._rates[1]
-        self.move(dt * self._half[self.free])
+    def fly(self, begin: float, end: float, dt: float) -> None:
+        """Move by a time step of central differences between two load parameters, with the forces at its start."""
+        self._span = (begin, end)
+        R = self._R[0]
+        momentum = self._mass.momentum(self._rates[VELOCITY], R) - 0.5 * dt * self._rates[FORCE]
+        self._half = np.where(self._free, self._mass.halfway(momentum, R, dt, self.title), 0.0)
+        self._way = dt * np.concatenate([self._half[:3], R @ self._half[3:]])
+        self.move(self._way[self._free])
 
     def land(self, unbalanced: Float, dt: float) -> None:
         """Set the rates at the end of a time step of central differences from the loads that nothing balances there."""
-        found = np.zeros_like(self._rates)
-        found[2, self.free] = -unbalanced
-        found[1] = -found[2] / self._mass
-        found[0] = self._half + 0.5 * dt * found[1]
+        R0, R1, found, force = self._R[0], self._R[1], np.zeros_like(self._rates), np.zeros(6)
+        force[self._free] = unbalanced
+        # The angular momentum in the middle of the step is that of its start and the forces there.
+        middle = self._mass.momentum(self._rates[VELOCITY], R0) - 0.5 * dt * self._rates[FORCE]
+        v = self._mass.velocity(middle + 0.5 * dt * force, R1)
+        found[VELOCITY] = np.where(self._free, v, self._prescribed_velocity(dt))
+        found[ACCELERATION] = np.where(self._free, self._mass.acceleration(force, v, R1), 0.0)
+        found[RATE], found[FORCE] = force, -force
         self._ended_rates = found
 
+    def _end(self, blend: Blend, dt: float) -> Float:
+        """Return the rates (4, 6) at the end of a generalised-alpha step of the length ``dt``, from the motion."""
+        v, a, rate, s = self._rates
+        moved = np.concatenate([self._moved(), rotation_vector(self._R[0].T @ self._R[1])])
+        later = (moved - dt * v) / (blend.beta * dt**2) - (0.5 / blend.beta - 1.0) * a
+        ended = np.where(self._free, v + dt * ((1.0 - blend.gamma) * a + blend.gamma * later), 0.0)
+        change = self._mass.momentum(ended, self._R[1]) - self._mass.momentum(v, self._R[0])
+        new = self._mass.rate(change, rate, blend, dt)
+        force = ((1.0 - blend.alpha_m) * new + blend.alpha_m * rate + blend.alpha_f * s) / (1.0 - blend.alpha_f)
+        ended = np.where(self._free, ended, self._prescribed_velocity(dt))
+        return np.stack([ended, *np.where(self._free, [later, new, -force], 0.0)])
+
+    def _moved(self) -> Float:
+        found = np.zeros(3)
+        found[: self._dim] = self._d[1] - self._d[0]
+        return found
+
+    def _prescribed_velocity(self, dt: float) -> Float:
+        """Return the velocities (6,) of the prescribed components at the end of a step of the length ``dt`` [time]."""
+        found, t, share = np.zeros(6), self._span[1], self._span[1] - self._span[0]
+        if self._free[self._of].all() or share <= 0.0 or self.declared.rests:
+            return found
+        before, after = max(t - SMALL * share, 0.0), min(t + SMALL * share, 1.0)
+        (R, d), (Q, e) = self.declared.motion(before, self._dim), self.declared.motion(after, self._dim)
+        found[: self._dim] = e - d
+        found[3:] = rotation_vector(R.T @ Q)
+        return np.asarray(np.where(self._free, 0.0, found) * share / (dt * (after - before)))
+
     def accelerate(self, blend: Blend, dt: float) -> Float:
-        """Set the rates at the end of a generalised-alpha step from the motion; return its inertia (n_free,) [force].
+        """Set the rates at the end of a generalised-alpha step from the motion; return its inertia (n_free,).
 
         The inertia is that of ``Inertia``: with the load and the forces of the body at the end of the step it is zero.
         """
-        v, a, s = self._rates
-        turned = _vector(self._R[1] @ self._R[0].T)[3 - ROTATIONS[self._dim] :]
-        moved = np.concatenate([self._d[1] - self._d[0], turned])
-        later = (moved - dt * v) / (blend.beta * dt**2) - (0.5 / blend.beta - 1.0) * a
-        later = np.where(self.free, later, 0.0)
-        force = self._mass * ((1.0 - blend.alpha_m) * later + blend.alpha_m * a) + blend.alpha_f * s
-        force /= 1.0 - blend.alpha_f
-        self._ended_rates = np.stack([v + dt * ((1.0 - blend.gamma) * a + blend.gamma * later), later, -force])
-        return np.asarray(force[self.free])
+        self._ended_rates = self._end(blend, dt)
+        turned = self._R[0] @ rotation_vector(self._R[0].T @ self._R[1])
+        self._way = np.concatenate([self._moved(), turned])
+        return np.asarray(-self._ended_rates[FORCE, self._free])
 
-    def mass_in_step(self, blend: Blend, dt: float) -> Float:
-        """Return the derivative of the inertia of ``accelerate`` by the motion (n_free,)."""
-        return np.asarray((1.0 - blend.alpha_m) / ((1.0 - blend.alpha_f) * blend.beta * dt**2) * self._mass[self.free])
+    def predict(self, blend: Blend, dt: float) -> None:
+        """Move to the end of a generalised-alpha step with the forces of its start, if no solve has moved the body."""
+        if not self._fresh:
+            return
+        self._fresh = False
+        v, a = self._rates[:2]
+        way = dt * v + 0.5 * dt**2 * a
+        self.move(np.concatenate([way[:3], self._R[0] @ way[3:]])[self._free])
+        for _ in range(ITERATIONS):
+            if self.turned_in_step(dt) > MOST_TURN:
+                break
+            missed = (self._end(blend, dt)[FORCE] - self._rates[FORCE])[self._free]
+            self.move(np.linalg.solve(self._stiffness(blend, dt), missed))
+
+    def _stiffness(self, blend: Blend, dt: float) -> Float:
+        turned = rotation_vector(self._R[0].T @ self._R[1])
+        W = self._end(blend, dt)[VELOCITY, 3:]
+        found = self._mass.stiffness(W, turned, self._R[1], blend, dt)
+        return np.asarray(found[np.ix_(self._free, self._free)])
+
+    def stiffness_in_step(self, blend: Blend, t: float, dt: float) -> Float:
+        """Return the derivative of inertia less load by the motion (n_free, n_free)."""
+        by_load = np.zeros((6, 6))
+        force = self._in_space(self.declared.load(t, self._dim))[:3]
+        by_load[3:, 3:] = skew(force) @ skew(self._pose(t) @ self._arm)
+        return self._stiffness(blend, dt) - by_load[np.ix_(self._free, self._free)]
+
+    def turned_in_step(self, dt: float) -> float:
+        """Return the rotation in a time step, or that with the velocity at its start if it is larger [rad]."""
+        ahead = dt * float(np.linalg.norm(self._rates[VELOCITY, 3:]))
+        return max(ahead, float(np.linalg.norm(rotation_vector(self._R[0].T @ self._R[1]))))
 
     def stopping(self, dt: float) -> Float:
         """Return the forces that would stop the body within a time step (n_free,)."""
-        return np.asarray(np.abs(self._mass * self._ended_rates[0])[self.free] / dt)
+        momentum = self._mass.momentum(self._ended_rates[VELOCITY], self._R[1])
+        return np.asarray(np.abs(momentum)[self._free] / dt)
+
+    def masses(self, t: float) -> Float:
+        """Return the masses of the free components (n_free, n_free)."""
+        return np.asarray(self._mass.matrix(self._pose(t))[np.ix_(self._free, self._free)])
 
     @property
-    def _mass(self) -> Float:
-        assert self.masses is not None
-        return self.masses
+    def _mass(self) -> RigidInertia:
+        assert self.inertia is not None
+        return self.inertia
+
+    @property
+    def work(self) -> float:
+        """Return the work of the load and of the forces of the body in the last step [energy] (not collective)."""
+        return -0.5 * float((self._rates[FORCE] + self._ended_rates[FORCE]) @ self._way)
+
+    def kinetic(self, dt: float = 0.0) -> float:
+        """Return the kinetic energy of the free components [energy] (not collective).
+
+        With the time step of central differences, it is the product of the motions half a step before and after.
+        """
+        if self.inertia is None:
+            return 0.0
+        R, (v, _, _, s) = self._pose(self._span[1]), self._ended_rates
+        h = np.where(self._free, self._mass.momentum(np.where(self._free, v, 0.0), R), 0.0)
+        squares = [one @ np.concatenate([(w := self._mass.velocity(one, R))[:3], R @ w[3:]]) for one in (h, s)]
+        return 0.5 * float(squares[0] - (0.5 * dt) ** 2 * squares[1])
+
+    @property
+    def added_kinetic(self) -> float:
+        """Return the kinetic energy of declared mass and moments of inertia [energy] (not collective)."""
+        v, declared = self._ended_rates[VELOCITY], self.declared
+        at_load = v[:3] + self._pose(self._span[1]) @ np.cross(v[3:], self._arm)
+        return 0.5 * float((declared.mass or 0.0) * at_load @ at_load + v[3:] @ declared.tensor @ v[3:])
+
+    def carried(self, x: Float, u: Float, t: float, blend: Blend | None = None, dt: float = 0.0) -> Float:
+        """Return the velocities (n, dim) [length / time] of points that move with the body.
+
+        With a ``blend``, at the end of a generalised-alpha step of the length ``dt``; else at the end of the last step.
+
+        Parameters
+        ----------
+        x, u : (n, dim) float64
+            Reference positions and displacements [length].
+        """
+        v = (self._ended_rates if blend is None else self._end(blend, dt))[VELOCITY]
+        R, d = self._pose(t), self.motion(t)[1]
+        found = np.zeros((len(x), 3))
+        found[:, : self._dim] = x + u - self._about - d
+        return np.asarray((v[:3] + np.cross(R @ v[3:], found))[:, : self._dim])
 
     def commit(self) -> None:
         """Keep the motion of a converged step (not collective)."""
@@ -236,39 +446,33 @@ class RigidBody:
     def numbers(self) -> dict[str, Callable[[State], float]]:
         """Return displacement, rotation vector and, of a body with mass, rates for the history, on the first rank.
 
-        Not collective.
+        Displacement and velocity are those of the point of the load (not collective).
         """
 
         def component(number: int) -> Callable[[State], float]:
             def value(state: State) -> float:
                 R, d = self.motion(state.t)
-                found = np.concatenate([d, _vector(R)[-ROTATIONS[self._dim] :]])
+                arm = self._arm[: self._dim]
+                found = np.concatenate([d + R @ arm - arm, rotation_vector(R)[-ROTATIONS[self._dim] :]])
                 return float(found[number]) if self._comm.rank == 0 else 0.0
 
             return value
 
         def rate(number: int) -> Callable[[State], float]:
-            return lambda state: float(self._ended_rates[0, number]) if self._comm.rank == 0 else 0.0
+            def value(state: State) -> float:
+                R, v = self._pose(state.t), self._ended_rates[VELOCITY]
+                found = np.concatenate([v[:3] + R @ np.cross(v[3:], self._arm), R @ v[3:]])[self._of]
+                return float(found[number]) if self._comm.rank == 0 else 0.0
+
+            return value
 
         if not self.free.any():
             return {}
         names = [f"move_{axis}" for axis in "xyz"[: self._dim]]
-        rates = [] if self.masses is None else [f"velocity_{axis}" for axis in "xyz"[: self._dim]]
+        rates = [] if self.inertia is None else [f"velocity_{axis}" for axis in "xyz"[: self._dim]]
         if self.declared.twisted:
             names += ["turn"] if self._dim == 2 else [f"turn_{axis}" for axis in "xyz"]
             if rates:
                 rates += ["spin"] if self._dim == 2 else [f"spin_{axis}" for axis in "xyz"]
         found = {name: component(number) for number, name in enumerate(names)}
         return {**found, **{name: rate(number) for number, name in enumerate(rates)}}
-
-
-def _vector(R: Float) -> Float:
-    """Return the rotation vector (3,) of a rotation in the plane or in space [rad]."""
-    whole = np.eye(3)
-    whole[: len(R), : len(R)] = R
-    return np.asarray(Rotation.from_matrix(whole).as_rotvec())
-
-
-def _rotation(vector: Float) -> Float:
-    """Return the rotation (3, 3) of a rotation vector (3,)."""
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())

@@ -365,6 +365,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
     if case.solver.duration is not None:
         problem.inertia = _inertia(case, problem, materials, applied)
+        problem.inertia.carry([rigid for _, rigid in problem.rigid_bodies])
         problem.terms.append(problem.inertia)
         problem.last_step = None  # time steps start from the velocity
         return problem

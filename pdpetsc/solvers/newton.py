@@ -24,6 +24,7 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.branch import BranchSwitch
+from pdpetsc.solvers.equilibrium import SETTLINGS, UNBALANCED
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
@@ -184,11 +185,22 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return None
 
     def _without_solve(self) -> tuple[Float, StepResult]:
-        """Return the prescribed displacements if all unknowns are prescribed; nothing is factored or iterated."""
+        """Return the prescribed displacements if all unknowns are prescribed; only rigid bodies are iterated."""
         sought, reason = self._equilibrium, PETSc.SNES.ConvergedReason
-        u = sought.prescribed.copy()
-        if sought.residual(u.ravel()) is None:
-            return u, sought.result(False, int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
+        for _ in range(SETTLINGS):
+            u = sought.prescribed.copy()
+            if sought.residual(u.ravel()) is None:
+                return u, sought.result(False, int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
+            # Nothing of the body gives way.
+            if self._rigid is None or self._rigid.moved(self.state(u), lambda: np.zeros_like, self.rtol) is None:
+                break
+            sought.impose(sought.t)
+        else:
+            sought.reason = UNBALANCED
+        if self._rigid is not None and self._rigid.objection:
+            sought.reason = self._rigid.objection
+        if sought.reason:
+            return u, sought.result(False, 0, 0, 0)
         return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
 
     def _iterate(self, start: Float) -> int:

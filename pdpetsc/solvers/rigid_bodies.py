@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag, eigh
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem, Tangent
-from pdpetsc.problem.rigid_body import RigidBody
+from pdpetsc.problem.rigid_body import MOST_TURN, RigidBody
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
@@ -118,6 +120,12 @@ class RigidBodies:
             Unknowns to solve from again [length]; None if the bodies are in equilibrium, or ``objection`` is not empty.
         """
         self.objection = ""
+        dt = 0.0 if self._inertia is None else state.clock.dt
+        fast = [rigid for _, rigid in self._bodies if dt > 0.0 and rigid.turned_in_step(dt) > MOST_TURN]
+        if fast:
+            title = fast[0].title
+            self.objection = f"{title[0].lower()}{title[1:]} turns by more than {MOST_TURN:g} rad in one time step"
+            return None
         sides = [self._side(*body, state) for body in self._bodies]
         off, size = self._imbalance(sides, state)
         if np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size):
@@ -231,49 +239,81 @@ class RigidBodies:
         S = np.stack([total(problem.body.cloud.comm, column) for column in columns], axis=1)
         if self._inertia is not None and state.clock.dt > 0.0:
             blend = self._inertia.blend
-            S += np.diag(np.concatenate([side.rigid.mass_in_step(blend, state.clock.dt) for side in sides]))
+            S += block_diag(*[side.rigid.stiffness_in_step(blend, state.t, state.clock.dt) for side in sides])
         return S, np.stack(ways)
 
-    def unbalanced(self, state: State) -> list[Float]:
-        """Return for each tool the loads that its forces on the particles do not balance (n_free,)."""
+    def unbalanced(self, state: State, forces: tuple[Float, Float], damping: Float) -> list[Float]:
+        """Return for each body the loads that nothing balances (n_free,).
+
+        Parameters
+        ----------
+        state : State
+            A state.
+        forces : two (n_rows, dim) float64
+            Internal and external forces there [force].
+        damping : (n_owned, dim) float64
+            Forces of damping [force].
+        """
         cloud, found = self._problem.body.cloud, []
         for term, rigid in self._bodies:
-            force = -self._problem.force_of([term], state)[: cloud.n_owned]
-            # Only a few particles touch the tool.
+            if rigid.rows is None:
+                force = -self._problem.force_of([term], state)[: cloud.n_owned]
+            else:
+                internal, external = forces
+                force = (internal - external)[: cloud.n_owned] + damping
+                force = np.where(rigid.rows[: cloud.n_owned, None], force, 0.0)
+            # Only a few particles touch a tool.
             rows = np.flatnonzero(force.any(axis=1))
             velocities = rigid.velocities(cloud.x[rows] + state.u[rows], state.t)
             found.append(rigid.load(state.t) - total(cloud.comm, np.einsum("kpi,pi->k", velocities, force[rows])))
         return found
 
-    def begin(self, state: State) -> None:
-        """Set the accelerations at the start of a motion."""
-        for (_, rigid), off in zip(self._bodies, self.unbalanced(state), strict=True):
+    def begin(self, state: State, forces: tuple[Float, Float]) -> None:
+        """Set the accelerations at the start of a motion, with internal and external forces (n_rows, dim) [force]."""
+        inertia = self._moving
+        for (_, rigid), off in zip(
+            self._bodies, self.unbalanced(state, forces, inertia.damped(inertia.v)), strict=True
+        ):
             rigid.begin(off)
 
-    def fly(self, dt: float) -> None:
+    def predict(self, t: float) -> None:
+        """Move to the end of a generalised-alpha step with the forces of its start (not collective)."""
+        problem = self._problem
+        for term, rigid in self._bodies:
+            rigid.start_from(problem.converged, t)
+            rigid.predict(self._moving.blend, (t - problem.converged) * problem.duration)
+            term.version += 1
+
+    def fly(self, t: float, dt: float) -> None:
         """Move by a time step of central differences from the last converged step."""
         for _, rigid in self._bodies:
-            rigid.fly(self._problem.converged, dt)
+            rigid.fly(self._problem.converged, t, dt)
 
-    def land(self, state: State, dt: float) -> None:
-        """Set the rates at the end of a time step of central differences."""
-        for (_, rigid), off in zip(self._bodies, self.unbalanced(state), strict=True):
+    def land(self, state: State, forces: tuple[Float, Float], damping: Float, dt: float) -> None:
+        """Set the rates at the end of a time step of central differences; arguments as for ``unbalanced``."""
+        for (_, rigid), off in zip(self._bodies, self.unbalanced(state, forces, damping), strict=True):
             rigid.land(off, dt)
+        inertia = self._moving
+        inertia.v[:] = inertia.with_bodies(inertia.v, state.own, state.t)
+
+    @property
+    def _moving(self) -> Inertia:
+        assert self._inertia is not None
+        return self._inertia
 
     def frequency_squared(self, state: State) -> float:
         """Return a bound on what the motions add to the largest squared frequency of the body [1 / time^2].
 
-        The largest eigenvalue of a positive matrix is at most the sum of those of its two diagonal blocks.
+        The largest eigenvalue of a positive matrix is at most the sum of those of its diagonal blocks.
         """
         problem, most = self._problem, 0.0
+        stiffest = problem.stiffest(state)
         for term, rigid in self._bodies:
             side = self._side(term, rigid, state, linear=False)
             W = side.velocities
-            tangent = Tangent(problem.body, term.stiffest(state))
+            tangent = stiffest if rigid.rows is not None else Tangent(problem.body, term.stiffest(state))
             S = total(problem.body.cloud.comm, np.stack([side.resultants(tangent(one)) for one in W]))
-            assert rigid.masses is not None
-            root = 1.0 / np.sqrt(rigid.masses[rigid.free])
-            most = max(most, float(np.linalg.eigvalsh(0.5 * root[:, None] * (S + S.T) * root).max()))
+            most += max(float(eigh(0.5 * (S + S.T), rigid.masses(state.t), eigvals_only=True).max()), 0.0)
         return most
 
     def _approach(self, term: Term, rigid: RigidBody, state: State) -> bool:

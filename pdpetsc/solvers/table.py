@@ -109,17 +109,17 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
 def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver) -> None:
     """Raise CaseError if a solver does not find the motion of a loaded rigid body."""
     if solver is StaticSolver:
-        if rigid.masses is not None:
+        if rigid.declared.mass is not None or rigid.declared.inertia is not None:
             raise CaseError(
                 f"{rigid.title} has a mass and does not move in time. Use Implicit or Explicit, or no mass."
             )
         return
-    if solver not in (ImplicitSolver, ExplicitSolver) or rigid.rows is not None:
+    if solver not in (ImplicitSolver, ExplicitSolver):
         raise CaseError(
             f"{rigid.title} has a load, and {declared.title} does not find its motion. Use Newton, with staggered "
             f"coupling of a temperature, or prescribe the motion."
         )
-    if rigid.masses is None:
+    if rigid.inertia is None:
         raise CaseError(f"{rigid.title} has a load and no mass. Give it mass, and with a moment inertia.")
     if isinstance(declared, Implicit | Explicit) and declared.preload:
         raise CaseError(f"{rigid.title} has a load, and preload holds it. Leave preload out.")

@@ -28,8 +28,8 @@ from pdpetsc.declare.conditions import (
 )
 from pdpetsc.declare.damping import AbsorbingBoundary, BulkViscosity, RayleighDamping
 from pdpetsc.declare.motion import RigidMotion
-from pdpetsc.declare.particles import Particles
-from pdpetsc.declare.region import Region
+from pdpetsc.declare.particles import Lattice, Particles
+from pdpetsc.declare.region import Face, Region
 from pdpetsc.declare.supports import Foundation, PointSupport, RigidRegion
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.declare.tools import Contact, RigidTool
@@ -133,7 +133,8 @@ class Applied:
         own = np.flatnonzero(select(cloud, region, name)).astype(np.int32)
         rows = np.zeros(cloud.n_rows, dtype=bool)
         rows[own] = True
-        rigid = RigidBody(condition, cloud.comm, cloud.dim, own, f"The region of {name}", rows)
+        layers = isinstance(self.particles, Lattice) and isinstance(condition.region, Face)
+        rigid = RigidBody(condition, cloud.comm, cloud.dim, own, f"The region of {name}", rows, layers)
 
         def component(axis: int) -> Callable[[Float, float], Float]:
             return lambda x, t: rigid.absolute(x, np.zeros_like(x), t)[:, axis]

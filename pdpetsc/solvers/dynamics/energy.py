@@ -115,6 +115,12 @@ class MotionBalance:
         if self._state is not None:
             outer += self._problem.tool_work(self._state, state, self._tools, tools)
         lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
+        # Damping of rigid regions is part of what they take from their loads.
+        held = self._problem.supports.fixed[: len(resisted)]
+        of_regions = 0.5 * float(np.where(held, (resisted + self._resisted) * moved[: len(resisted)], 0.0).sum())
+        if self._problem.body.cloud.comm.rank == 0:
+            of_regions += sum(rigid.work for rigid in self._inertia.bodies)
+        work, outer = work + of_regions, outer + of_regions
         work, lost, outer = total(self._problem.body.cloud.comm, [work, lost, outer]).tolist()
         self._work += work
         self.step_work += outer

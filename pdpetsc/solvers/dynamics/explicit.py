@@ -125,7 +125,7 @@ class ExplicitSolver(Solver):
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
         if start.t == 0.0 and self._rigid is not None:
-            self._rigid.begin(state)
+            self._rigid.begin(state, forces(problem, state))
         resume = start.resume
         largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
         self._steps = int(resume.get(STEPS, 0))
@@ -280,7 +280,7 @@ class ExplicitSolver(Solver):
         problem.start_from(problem.state(u, problem.converged))
         half = inertia.v + 0.5 * dt * inertia.a
         if self._rigid is not None:
-            self._rigid.fly(dt)
+            self._rigid.fly(t, dt)
         moved = u.copy()
         moved[:n] += dt * half
         if self._held:
@@ -296,7 +296,7 @@ class ExplicitSolver(Solver):
         acting = forces(problem, state)
         place(*acting)
         if self._rigid is not None:
-            self._rigid.land(state, dt)
+            self._rigid.land(state, acting, viscous + inertia.damped(half), dt)
         balance.move(state, *acting, viscous)
         damage = problem.bond_damage
         if damage is None or not damage.fails(state):
@@ -317,7 +317,7 @@ class ExplicitSolver(Solver):
         return moved, broken
 
     def _viscous(self, u: Float, velocity: Float) -> Float:
-        """Return ``c K_0 v`` and the viscosity of shocks of the free components (n_owned, dim) [force].
+        """Return ``c K_0 v`` and the viscosity of shocks of free components and rigid regions (n_owned, dim) [force].
 
         ``u`` are the unknowns at the start of the step, ``velocity`` those of the own particles (n_owned, dim).
         """
@@ -328,4 +328,4 @@ class ExplicitSolver(Solver):
             force += self._inertia.damping_time * self._resistance(rows)[:n]
         if viscosity is not None:
             force += viscosity.force(problem.state(u, problem.converged), rows)[:n]
-        return np.where(problem.supports.fixed[:n], 0.0, force)
+        return np.where(problem.supports.fixed[:n] & ~self._inertia.carried[:, None], 0.0, force)

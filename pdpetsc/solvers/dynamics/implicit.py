@@ -99,6 +99,8 @@ class ImplicitSolver(TimeStepSolver):
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find the end of the time step to load parameter ``t`` (collective)."""
         self._inertia.step_to(t)
+        if self._rigid is not None:
+            self._rigid.predict(t)
         self._inertia.held = held_velocity(self.problem, t, t - self.problem.converged)
         return super().solve(u, t)
 
@@ -151,9 +153,10 @@ class ImplicitSolver(TimeStepSolver):
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
+        found = forces(problem, state)
         if start.t == 0.0 and self._rigid is not None:
-            self._rigid.begin(state)
-        inertia.begin_step(*(found := forces(problem, state)))
+            self._rigid.begin(state, found)
+        inertia.begin_step(*found)
         balance.begin(state, *found, inertia.energy_of_free())
         recorded = start.t
         number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0

@@ -114,7 +114,8 @@ def begin_motion(problem: Problem, u: Float, dt: float) -> Float:
     inertia, fixed = inertia_of(problem), problem.supports.fixed
     n = len(inertia.mass)
     start = np.where(fixed, problem.supports.prescribed(0.0), u)
-    set_in_motion(problem, start, np.where(fixed[:n], held_velocity(problem, 0.0, dt), inertia.v), 0.0)
+    held = fixed[:n] & ~inertia.carried[:, None]
+    set_in_motion(problem, start, np.where(held, held_velocity(problem, 0.0, dt), inertia.v), 0.0)
     return start
 
 

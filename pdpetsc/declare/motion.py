@@ -51,8 +51,8 @@ class RigidMotion(Declared):
     mass : float, optional
         Mass at ``about``, with ``force``, in a motion (``Implicit``, ``Explicit``) [mass].
     inertia : float, sequence of float or of such sequences, optional
-        Moment of inertia of that mass about ``about``, with ``moment``, in a motion [mass length^2]. In space one number
-        for all axes, three for the axes x, y, z at the start, or a symmetric matrix (3, 3) for them.
+        Moment of inertia of that mass about ``about``, with ``moment``, in a motion [mass length^2]. In space one
+        number for all axes, three for the axes x, y, z at the start, or a symmetric matrix (3, 3) for them.
     """
 
     move: Sequence[float] = field(default=(), kw_only=True)
@@ -126,7 +126,7 @@ class RigidMotion(Declared):
 
     def _check_inertia(self, dim: int) -> None:
         """Raise CaseError if there are no bodies with the moments of inertia."""
-        title, given = type(self).__name__, np.shape(self.inertia)
+        title, given = type(self).__name__, np.asarray(self.inertia).shape
         if given not in ((), (3,), (3, 3)) or (dim != 3 and given != ()):
             needed = "three numbers or a matrix (3, 3)" if dim == 3 else "a number"
             raise CaseError(f"{title} has an inertia of shape {given} in {dim} dimensions; give {needed}.")

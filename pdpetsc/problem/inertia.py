@@ -300,13 +300,12 @@ class Inertia(Term):
     def energy_of_free(self, dt: float = 0.0) -> float:
         """Return ``sum m (v - dt a / 2) (v + dt a / 2) / 2`` of the free components on this rank [energy].
 
-        Those of rigid bodies are included on the first rank. They are those of the last converged step. Without ``dt`` it is the kinetic energy. With the time step of
+        They are those of the last converged step. Without ``dt`` it is the kinetic energy. With the time step of
         central differences, these are the velocities half a step before and after; a linear motion conserves its energy
         with them (not collective).
         """
         squares = np.where(self._free, self.v**2 - (0.5 * dt * self.a) ** 2, 0.0)
-        rigid = sum(one.kinetic(dt) for one in self.bodies) if self._body.cloud.comm.rank == 0 else 0.0
-        return rigid + 0.5 * float(self.mass @ squares.sum(axis=1))
+        return 0.5 * float(self.mass @ squares.sum(axis=1))
 
     def commit(self, state: State) -> None:
         """Store the motion at the end of the step."""

@@ -12,7 +12,7 @@ from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.blend import Blend
-from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation, rotation_vector, skew
+from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation_vector, skew, turned
 from pdpetsc.problem.state import State
 
 # Number of load parameters at which loads are compared.
@@ -175,8 +175,8 @@ class RigidBody:
         d = np.where(self.free[: self._dim], start + share * (now - start), d)
         if self.declared.twisted:
             before, after = self._R
-            turned = rotation(share * rotation_vector(after @ before.T)) @ before if share < 1.0 else after
-            R = turned[: self._dim, : self._dim]
+            between = turned(share * rotation_vector(after @ before.T), before) if share < 1.0 else after
+            R = between[: self._dim, : self._dim]
         return R, d
 
     @property
@@ -264,7 +264,7 @@ class RigidBody:
         self._d[1] += step[: self._dim]
         if self.declared.twisted:
             turn = step[self._dim :]
-            self._R[1] = rotation(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]])) @ self._R[1]
+            self._R[1] = turned(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]]), self._R[1])
 
     def start_from(self, begin: float, end: float) -> None:
         """Begin or repeat the step between two load parameters (not collective)."""
@@ -310,7 +310,7 @@ class RigidBody:
     def _end(self, blend: Blend, dt: float) -> Float:
         """Return the rates (4, 6) at the end of a generalised-alpha step of the length ``dt``, from the motion."""
         v, a, rate, s = self._rates
-        moved = np.concatenate([self._moved(), rotation_vector(self._R[0].T @ self._R[1])])
+        moved = np.concatenate([self._whole(self._d[1] - self._d[0]), self._turn()])
         later = (moved - dt * v) / (blend.beta * dt**2) - (0.5 / blend.beta - 1.0) * a
         ended = np.where(self._free, v + dt * ((1.0 - blend.gamma) * a + blend.gamma * later), 0.0)
         change = self._mass.momentum(ended, self._R[1]) - self._mass.momentum(v, self._R[0])
@@ -319,10 +319,15 @@ class RigidBody:
         ended = np.where(self._free, ended, self._prescribed_velocity(dt))
         return np.stack([ended, *np.where(self._free, [later, new, -force], 0.0)])
 
-    def _moved(self) -> Float:
+    def _whole(self, vector: Float) -> Float:
+        """Return a vector (dim,) in space (3,)."""
         found = np.zeros(3)
-        found[: self._dim] = self._d[1] - self._d[0]
+        found[: self._dim] = vector
         return found
+
+    def _turn(self) -> Float:
+        """Return the rotation vector of the step in the axes of the body (3,)."""
+        return rotation_vector(self._R[0].T @ self._R[1])
 
     def _prescribed_velocity(self, dt: float) -> Float:
         """Return the velocities (6,) of the prescribed components at the end of a step of the length ``dt`` [time]."""
@@ -341,8 +346,7 @@ class RigidBody:
         The inertia is that of ``Inertia``: with the load and the forces of the body at the end of the step it is zero.
         """
         self._ended_rates = self._end(blend, dt)
-        turned = self._R[0] @ rotation_vector(self._R[0].T @ self._R[1])
-        self._way = np.concatenate([self._moved(), turned])
+        self._way = np.concatenate([self._whole(self._d[1] - self._d[0]), self._R[0] @ self._turn()])
         return np.asarray(-self._ended_rates[FORCE, self._free])
 
     def predict(self, blend: Blend, dt: float) -> None:
@@ -360,9 +364,8 @@ class RigidBody:
             self.move(np.linalg.solve(self._stiffness(blend, dt), missed))
 
     def _stiffness(self, blend: Blend, dt: float) -> Float:
-        turned = rotation_vector(self._R[0].T @ self._R[1])
         W = self._end(blend, dt)[VELOCITY, 3:]
-        found = self._mass.stiffness(W, turned, self._R[1], blend, dt)
+        found = self._mass.stiffness(W, self._turn(), self._R[1], blend, dt)
         return np.asarray(found[np.ix_(self._free, self._free)])
 
     def stiffness_in_step(self, blend: Blend, t: float, dt: float) -> Float:
@@ -372,10 +375,23 @@ class RigidBody:
         by_load[3:, 3:] = skew(force) @ skew(self._pose(t) @ self._arm)
         return self._stiffness(blend, dt) - by_load[np.ix_(self._free, self._free)]
 
+    def local_error(self, blend: Blend, dt: float, longest: float) -> Float:
+        """Return three squares times masses (3,) [mass length^2] that judge an implicit step.
+
+        They are those of the local error of the step, of the motion so far, and of the way that the acceleration at its
+        end makes in the ``longest`` time step. Rotations count from the start of the run, at most half a turn.
+        """
+        rates, old = self._ended_rates, self._rates
+        missed = (blend.beta - 1.0 / 6.0) * dt**2 * (rates[ACCELERATION] - old[ACCELERATION])
+        moved = np.concatenate([self._whole(self._d[1]), rotation_vector(self._R[1])])
+        masses = self._mass.matrix(np.eye(3))
+        ways = [np.where(self._free, one, 0.0) for one in (missed, moved, 0.5 * longest**2 * rates[ACCELERATION])]
+        return np.array([way @ masses @ way for way in ways])
+
     def turned_in_step(self, dt: float) -> float:
         """Return the rotation in a time step, or that with the velocity at its start if it is larger [rad]."""
         ahead = dt * float(np.linalg.norm(self._rates[VELOCITY, 3:]))
-        return max(ahead, float(np.linalg.norm(rotation_vector(self._R[0].T @ self._R[1]))))
+        return max(ahead, float(np.linalg.norm(self._turn())))
 
     def stopping(self, dt: float) -> Float:
         """Return the forces that would stop the body within a time step (n_free,)."""
@@ -405,15 +421,16 @@ class RigidBody:
             return 0.0
         R, (v, _, _, s) = self._pose(self._span[1]), self._ended_rates
         h = np.where(self._free, self._mass.momentum(np.where(self._free, v, 0.0), R), 0.0)
-        squares = [one @ np.concatenate([(w := self._mass.velocity(one, R))[:3], R @ w[3:]]) for one in (h, s)]
-        return 0.5 * float(squares[0] - (0.5 * dt) ** 2 * squares[1])
+        by_momentum = np.linalg.inv(self._mass.matrix(R))
+        return 0.5 * float(h @ by_momentum @ h - (0.5 * dt) ** 2 * s @ by_momentum @ s)
 
     @property
     def added_kinetic(self) -> float:
         """Return the kinetic energy of declared mass and moments of inertia [energy] (not collective)."""
         v, declared = self._ended_rates[VELOCITY], self.declared
         at_load = v[:3] + self._pose(self._span[1]) @ np.cross(v[3:], self._arm)
-        return 0.5 * float((declared.mass or 0.0) * at_load @ at_load + v[3:] @ declared.tensor @ v[3:])
+        of_mass = 0.0 if declared.mass is None else declared.mass * float(at_load @ at_load)
+        return 0.5 * (of_mass + float(v[3:] @ declared.tensor @ v[3:]))
 
     def carried(self, x: Float, u: Float, t: float, blend: Blend | None = None, dt: float = 0.0) -> Float:
         """Return the velocities (n, dim) [length / time] of points that move with the body.
@@ -426,10 +443,10 @@ class RigidBody:
             Reference positions and displacements [length].
         """
         v = (self._ended_rates if blend is None else self._end(blend, dt))[VELOCITY]
-        R, d = self._pose(t), self.motion(t)[1]
-        found = np.zeros((len(x), 3))
-        found[:, : self._dim] = x + u - self._about - d
-        return np.asarray((v[:3] + np.cross(R @ v[3:], found))[:, : self._dim])
+        arms = np.zeros((len(x), 3))
+        arms[:, : self._dim] = x + u - self._about - self.motion(t)[1]
+        found: Float = v[:3] + np.cross(self._pose(t) @ v[3:], arms)
+        return np.asarray(found[:, : self._dim])
 
     def commit(self) -> None:
         """Keep the motion of a converged step (not collective)."""

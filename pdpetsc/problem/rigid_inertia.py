@@ -134,6 +134,11 @@ def rotation(vector: Float) -> Float:
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
+def turned(vector: Float, R: Float) -> Float:
+    """Return a rotation (3, 3) after a further one of a rotation vector (3,) in space, orthogonal to round-off."""
+    return np.asarray((Rotation.from_rotvec(vector) * Rotation.from_matrix(R)).as_matrix())
+
+
 def about_point(mass: Float, arm: Float) -> Float:
     """Return the moments of inertia (3, 3) of point masses (n,) at arms (n, 3) [mass length^2]."""
     squares = mass @ (arm**2).sum(axis=1)

@@ -20,6 +20,10 @@ START, DAMPED, LARGEST, WORK, LOST, GIVEN, CREATED = (
     "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds", "energy_given",
     "energy_of_contact",
 )  # fmt: skip
+# Names in a checkpoint of rigid bodies: kinetic energy at the start, the largest energy so far, and the work [energy].
+RIGID_START, RIGID_LARGEST, RIGID_WORK = "rigid_energy_at_start", "largest_rigid_energy", "work_on_rigid_bodies"
+# Smallest energy of the body that is judged, over that of rigid bodies: below it is round-off.
+ROUND_OFF = 1e-6
 
 
 class MotionBalance:
@@ -46,7 +50,8 @@ class MotionBalance:
         Whether all energies are known. They are not if bonds fail unreported or soften in a body with deformation
         gradients, in a body with strains without stress, and for materials that depend on the rate.
     step_work : float
-        Work of loads, supports and moving tools since the last record [energy]; that of a tool is on its own way.
+        Work of loads, supports and moving tools since the last record [energy]; that of a tool is on its own way, and
+        that of a rigid body in motion the work of its load.
     amplified : float
         Energy of the body at the last record over the largest that it was given [-].
 
@@ -74,6 +79,8 @@ class MotionBalance:
         self._judges_contact = bool(names) and all(term.energy_of in names for term in self._outside)
         self._created = resume.get(CREATED, 0.0)
         self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed
+        self._rigid_at_start, self._rigid_work = resume.get(RIGID_START, 0.0), resume.get(RIGID_WORK, 0.0)
+        self._rigid_largest = resume.get(RIGID_LARGEST, 0.0)
         self._begun = START in resume
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
@@ -87,16 +94,20 @@ class MotionBalance:
         """Return the numbers for a checkpoint (not collective)."""
         numbers = {START: self._at_start, DAMPED: self._damped, LARGEST: self._largest, WORK: self._work}
         numbers |= {GIVEN: self._given, CREATED: self._created}
+        if self._inertia.bodies:
+            of_rigid = self._rigid_at_start, self._rigid_largest, self._rigid_work
+            numbers |= dict(zip((RIGID_START, RIGID_LARGEST, RIGID_WORK), of_rigid, strict=True))
         return numbers if self._lost is None else {**numbers, LOST: self._lost}
 
-    def begin(self, state: State, internal: Float, external: Float, kinetic: float) -> None:
-        """Start from a state with its forces (n_rows, dim) [force] and its kinetic energy on this rank [energy]."""
+    def begin(self, state: State, internal: Float, external: Float, dt: float = 0.0) -> None:
+        """Start from a state with its forces (n_rows, dim) [force]; ``dt`` as for ``record``."""
         self._u, (self._given_by, self._force) = state.u, self._acting(state, internal, external)
         self._tools = self._problem.tool_forces(state)
         self._state = state if self._tools else None
         self._resisted = self._inertia.damped(self._inertia.v)
         if not self._begun:
-            stored, moving, touching = self._held(state, kinetic)
+            stored, moving, touching = self._held(state, dt)
+            self._rigid_at_start = self._rigid_largest = self._rigid_kinetic(dt)
             # Failing points have dissipated energy in a preload.
             self._at_start, self._largest = stored + moving + self._dissipated(), max(abs(stored), moving)
             self._created = -touching
@@ -114,14 +125,13 @@ class MotionBalance:
         outer = 0.5 * float(((given_by + self._given_by) * moved).sum())
         if self._state is not None:
             outer += self._problem.tool_work(self._state, state, self._tools, tools)
-        lost = 0.5 * float(((resisted + self._resisted) * moved[: len(resisted)]).sum())
-        # Damping of rigid regions is part of what they take from their loads.
-        held = self._problem.supports.fixed[: len(resisted)]
-        of_regions = 0.5 * float(np.where(held, (resisted + self._resisted) * moved[: len(resisted)], 0.0).sum())
-        if self._problem.body.cloud.comm.rank == 0:
-            of_regions += sum(rigid.work for rigid in self._inertia.bodies)
-        work, outer = work + of_regions, outer + of_regions
-        work, lost, outer = total(self._problem.body.cloud.comm, [work, lost, outer]).tolist()
+        damped = 0.5 * ((resisted + self._resisted) * moved[: len(resisted)])
+        free = ~self._problem.supports.fixed[: len(resisted)]
+        lost, of_regions = float(damped[free].sum()), float(damped[~free].sum())
+        work, lost, outer, of_regions = total(self._problem.body.cloud.comm, [work, lost, outer, of_regions]).tolist()
+        on_rigid = sum(rigid.work for rigid in self._inertia.bodies)
+        self._rigid_work += on_rigid
+        self.step_work += on_rigid + of_regions
         self._work += work
         self.step_work += outer
         self._created += work - outer
@@ -132,7 +142,7 @@ class MotionBalance:
 
     def stored(self, state: State) -> float:
         """Return the stored energy of the body [energy]."""
-        return self._held(state, 0.0)[0]
+        return self._held(state)[0]
 
     def fail(self, released: float, state: State, internal: Float, external: Float) -> None:
         """Add energy that failing bonds have released at a displacement [energy], and continue with forces after it."""
@@ -140,10 +150,14 @@ class MotionBalance:
         self._lost += released
         self._given_by, self._force = self._acting(state, internal, external)
 
-    def record(self, state: State, kinetic: float) -> float:
-        """Return the error of the balance over the largest energy so far [-], positive if the body gained energy."""
+    def record(self, state: State, dt: float = 0.0) -> float:
+        """Return the error of the balance over the largest energy so far [-], positive if energy was gained.
+
+        It is that of the body or of its rigid bodies, whichever is larger. ``dt`` is the time step of central
+        differences.
+        """
         self.step_work = 0.0
-        stored, moving, touching = self._held(state, kinetic)
+        stored, moving, touching = self._held(state, dt)
         lost = self._dissipated()
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
         self._given = max(self._given, abs(self._at_start + self._work))
@@ -151,7 +165,16 @@ class MotionBalance:
         off = stored + moving + lost + self._damped - self._at_start - self._work
         if self._judges_contact:
             off += max(self._created + touching, 0.0)
-        return off / self._largest if self.known and self._largest > 0.0 else 0.0
+        rigid = self._rigid_kinetic(dt)
+        self._rigid_largest = max(self._rigid_largest, abs(rigid), abs(self._rigid_work))
+        gained, largest = rigid - self._rigid_at_start - self._rigid_work, self._rigid_largest
+        size = max(self._largest, ROUND_OFF * largest)
+        of_rigid, of_body = gained / largest if largest > 0.0 else 0.0, off / size if size > 0.0 else 0.0
+        return max(of_rigid, of_body if self.known else 0.0, key=abs)
+
+    def _rigid_kinetic(self, dt: float) -> float:
+        """Return the kinetic energy of rigid bodies [energy] (not collective)."""
+        return sum(rigid.kinetic(dt) for rigid in self._inertia.bodies)
 
     def _dissipated(self) -> float:
         """Return the energy that failing bonds have released in the motion, or points have dissipated [energy]."""
@@ -162,9 +185,10 @@ class MotionBalance:
         given_by = np.where(self._problem.supports.fixed, internal, external)
         return given_by, given_by - self._problem.force_of(self._outside, state) if self._outside else given_by
 
-    def _held(self, state: State, kinetic: float) -> tuple[float, float, float]:
+    def _held(self, state: State, dt: float = 0.0) -> tuple[float, float, float]:
         """Return stored and kinetic energy of the body, and that of contact that works from outside [energy]."""
         energies = self._problem.energies(state)
         stored = sum(value for name, value in energies.items() if name not in self._left_out)
         touching = sum(energies[name] for name in self._left_out if name != self._inertia.energy_of)
-        return stored, float(total(self._problem.body.cloud.comm, kinetic)), touching
+        kinetic = float(total(self._problem.body.cloud.comm, self._inertia.energy_of_free(dt)))
+        return stored, kinetic, touching

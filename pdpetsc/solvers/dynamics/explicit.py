@@ -146,9 +146,7 @@ class ExplicitSolver(Solver):
             # Steps of equal size from ``base`` on, until the stable step changes.
             base, number, count = t, 0, self._count(target - t, dt)
             if not begun:
-                balance.begin(
-                    state, *forces(problem, state), inertia.energy_of_free((target - t) * declared.end / count)
-                )
+                balance.begin(state, *forces(problem, state), (target - t) * declared.end / count)
                 begun = True
             while number < count:
                 number += 1
@@ -180,7 +178,7 @@ class ExplicitSolver(Solver):
                     largest, dt = now, self._stable(now)
             problem.freeze(False)
             work, state = balance.step_work, problem.state(u, target)
-            inertia.error = balance.record(state, inertia.energy_of_free(size))
+            inertia.error = balance.record(state, size)
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}

@@ -124,8 +124,10 @@ class ImplicitSolver(TimeStepSolver):
         missed = np.where(free, (inertia.blend.beta - 1.0 / 6.0) * dt**2 * (a - inertia.a), 0.0)
         # A body that begins to move is compared with its way in the largest step: its own way is as small as the error.
         ahead = np.where(free, 0.5 * self._declared.dt**2 * a, 0.0)
-        sums = [float(inertia.mass @ (one**2).sum(axis=1)) for one in (missed, state.own, ahead)]
-        error, moved, expected = np.sqrt(total(self._comm, sums)).tolist()
+        sums = total(self._comm, [float(inertia.mass @ (one**2).sum(axis=1)) for one in (missed, state.own, ahead)])
+        for rigid in inertia.bodies:
+            sums = sums + rigid.local_error(inertia.blend, dt, self._declared.dt)
+        error, moved, expected = np.sqrt(sums).tolist()
         most = max(self._most, moved)
         size = most if self._most > 0.0 else max(most, expected)
         off = error / size if size > 0.0 else 0.0
@@ -157,7 +159,7 @@ class ImplicitSolver(TimeStepSolver):
         if start.t == 0.0 and self._rigid is not None:
             self._rigid.begin(state, found)
         inertia.begin_step(*found)
-        balance.begin(state, *found, inertia.energy_of_free())
+        balance.begin(state, *found)
         recorded = start.t
         number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
         for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
@@ -173,7 +175,7 @@ class ImplicitSolver(TimeStepSolver):
                 continue
             work, self._last = balance.step_work, converged.t - recorded
             recorded = converged.t
-            inertia.error = balance.record(state, inertia.energy_of_free())
+            inertia.error = balance.record(state)
             self._refuse_unbalanced(inertia.error, converged.t)
             result = replace(converged.result, iterations=iterations, linear_iterations=linear)
             own = {END: self._declared.end, ERROR: inertia.error, MOST_MOVED: self._most}

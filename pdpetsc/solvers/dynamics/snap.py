@@ -193,7 +193,7 @@ class _Motion:
         inertia.step = 0.0
         internal, external = set_in_motion(problem, self.u, np.zeros_like(inertia.v), self._t)
         self._balance = MotionBalance(problem, inertia, {}, tells=False)
-        self._balance.begin(problem.state(self.u, self._t), internal, external, 0.0)
+        self._balance.begin(problem.state(self.u, self._t), internal, external)
         inertia.begin_step(internal, external)
 
     def _step(self, solver: TimeStepSolver) -> None:
@@ -222,7 +222,7 @@ class _Motion:
         internal, external = forces(problem, state)
         assert self._balance is not None
         self._balance.move(state, internal, external)
-        error = self._balance.record(state, inertia.energy_of_free())
+        error = self._balance.record(state)
         if not np.isfinite(error) or error > MOST:
             raise SolveError(
                 f"In the motion at step time {self._t:.6g} the body gained {error:.2g} of its largest energy; take a "

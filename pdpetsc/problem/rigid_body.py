@@ -159,8 +159,10 @@ class RigidBody:
         spun = total(self._comm, np.cross(mass[:, None] * arms, velocity).sum(axis=0))
         offset = skew(first - sums[0] * point)
         G = np.block([[sums[0] * np.eye(3), -offset], [offset, of_particles]])[np.ix_(self._free, self._free)]
-        begun = np.linalg.lstsq(G, np.concatenate([momentum, spun])[self._free], rcond=LEAST)[0]
-        self._rates[VELOCITY, self._free] = begun
+        size = float(np.sqrt(np.trace(of_particles) / sums[0])) or 1.0
+        scale = np.repeat([1.0, 1.0 / size], 3)[self._free]
+        momenta = scale * np.concatenate([momentum, spun])[self._free]
+        self._rates[VELOCITY, self._free] = scale * np.linalg.lstsq(scale[:, None] * G * scale, momenta, rcond=LEAST)[0]
         self._ended_rates[:] = self._rates
         self.kept[:] = self._both
 
@@ -373,7 +375,7 @@ class RigidBody:
         by_load = np.zeros((6, 6))
         force = self._in_space(self.declared.load(t, self._dim))[:3]
         by_load[3:, 3:] = skew(force) @ skew(self._pose(t) @ self._arm)
-        return self._stiffness(blend, dt) - by_load[np.ix_(self._free, self._free)]
+        return np.asarray(self._stiffness(blend, dt) - by_load[np.ix_(self._free, self._free)])
 
     def local_error(self, blend: Blend, dt: float, longest: float) -> Float:
         """Return three squares times masses (3,) [mass length^2] that judge an implicit step.

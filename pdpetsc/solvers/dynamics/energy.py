@@ -161,14 +161,14 @@ class MotionBalance:
         lost = self._dissipated()
         self._largest = max(self._largest, abs(stored), moving, abs(self._work))
         self._given = max(self._given, abs(self._at_start + self._work))
-        self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > 0.0 else 0.0
+        rigid = self._rigid_kinetic(dt)
+        largest = self._rigid_largest = max(self._rigid_largest, abs(rigid), abs(self._rigid_work))
+        least = ROUND_OFF * largest
+        self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > least else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
         if self._judges_contact:
             off += max(self._created + touching, 0.0)
-        rigid = self._rigid_kinetic(dt)
-        self._rigid_largest = max(self._rigid_largest, abs(rigid), abs(self._rigid_work))
-        gained, largest = rigid - self._rigid_at_start - self._rigid_work, self._rigid_largest
-        size = max(self._largest, ROUND_OFF * largest)
+        gained, size = rigid - self._rigid_at_start - self._rigid_work, max(self._largest, least)
         of_rigid, of_body = gained / largest if largest > 0.0 else 0.0, off / size if size > 0.0 else 0.0
         return max(of_rigid, of_body if self.known else 0.0, key=abs)
 

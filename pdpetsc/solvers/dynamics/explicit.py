@@ -167,7 +167,7 @@ class ExplicitSolver(Solver):
                     base, number, count = at, 0, self._count(target - at, self._stable(largest))
                 if self._steps >= due:
                     now = max(self._frequency(u, at), least)
-                    growth = now / largest - 1.0
+                    growth = now / largest - 1.0 if largest > 0.0 else now
                     if growth > GROWS:
                         interval = max(LEAST, interval // 2)
                     elif growth < RESTS:
@@ -285,6 +285,8 @@ class ExplicitSolver(Solver):
             moved = np.where(fixed, problem.supports.prescribed(t), moved)
             half = np.where(held, (moved[:n] - u[:n]) / dt, half)
         viscous = self._viscous(u, half)
+        # Dampers on rigid regions: the velocity at the end of the step if the acceleration remains.
+        ahead = 2.0 * half - inertia.v if self._rigid is not None else half
 
         def place(internal: Float, external: Float) -> None:
             a = inertia.accelerated_by((external - internal)[:n] - viscous, half, dt)
@@ -294,7 +296,7 @@ class ExplicitSolver(Solver):
         acting = forces(problem, state)
         place(*acting)
         if self._rigid is not None:
-            self._rigid.land(state, acting, viscous + inertia.damped(half), dt)
+            self._rigid.land(state, acting, viscous + inertia.damped(ahead), dt)
         balance.move(state, *acting, viscous)
         damage = problem.bond_damage
         if damage is None or not damage.fails(state):

@@ -52,7 +52,8 @@ class RigidRegion(RigidMotion, _Support):
 
     Particles are chosen as by ``Clamp``; of a ``Lattice`` also those of any region, which are then held themselves.
     ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it. With ``force`` or
-    ``moment`` the motion follows from these loads; equilibria of load steps only, with ``Newton``.
+    ``moment`` the motion follows from these loads, with ``Newton``, ``Implicit`` or ``Explicit``. In a motion the
+    particles have their mass, and begin with the momentum and angular momentum of ``InitialVelocity``.
 
     Parameters
     ----------
@@ -60,11 +61,15 @@ class RigidRegion(RigidMotion, _Support):
         A side, ``"-x"`` to ``"+z"``, or the name of a set or a region.
     move, turn, about, force, moment, schedule
         As for ``RigidMotion``.
+    mass, inertia
+        Beside those of the particles, at ``about``, as for ``RigidMotion``.
 
     Raises
     ------
     CaseError
-        In a case: vectors of another dimension, or a rotation without ``about``.
+        In a case: vectors of another dimension, or a rotation without ``about``. In a motion: the layers beyond a side
+        of a ``Lattice``, particles on a line without ``inertia``, or a rotation about another point than the centre of
+        mass, with a force in some directions only.
 
     Examples
     --------

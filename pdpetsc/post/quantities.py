@@ -363,7 +363,7 @@ class ControlEnergy(Quantity):
 
 @dataclass(frozen=True)
 class KineticEnergy(Quantity):
-    """Kinetic energy of a motion, ``sum m v^2 / 2`` [energy].
+    """Kinetic energy of a motion, ``sum m v^2 / 2`` [energy], with that of rigid bodies.
 
     Examples
     --------
@@ -384,7 +384,8 @@ class EnergyError(Quantity):
     """Error of the energy balance of a motion over the largest energy so far [-].
 
     It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
-    and the work of loads, supports and tools. It is positive if the body has gained energy. The numerical damping of
+    and the work of loads, supports and tools, or of a rigid body if that is larger: its kinetic energy minus that at
+    the start and the work on it, over its largest. It is positive if energy was gained. The numerical damping of
     ``Implicit`` with a radius below 1 makes it negative. It is 0 where not all energies are known: if bonds soften in a
     body with deformation gradients or fail with ``Implicit``, in bodies with temperature or eigenstrains, and for
     materials that depend on the rate.
@@ -414,7 +415,8 @@ def inertia_of(solution: Solution, asked_by: object) -> Inertia:
 class ExternalWork(Quantity):
     """Work of loads, supports and moving tools since the undeformed state [energy], by the trapezoidal rule over steps.
 
-    Along a path, it includes all equilibria within a step while bonds break.
+    That of a rigid body with mass in a motion is the work of its load. Along a path, it includes all equilibria within
+    a step while bonds break.
 
     Examples
     --------

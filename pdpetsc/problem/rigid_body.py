@@ -309,6 +309,15 @@ class RigidBody:
         found[RATE], found[FORCE] = force, -force
         self._ended_rates = found
 
+    def push(self, unbalanced: Float, dt: float) -> float:
+        """Set other loads that nothing balances at the end of a time step of central differences (n_free,).
+
+        Return the change of ``kinetic``: the forces of the two halves of the kick at this time differ.
+        """
+        before = self.kinetic(dt)
+        self._ended_rates[FORCE, self._free] = -unbalanced
+        return self.kinetic(dt) - before
+
     def _end(self, blend: Blend, dt: float) -> Float:
         """Return the rates (4, 6) at the end of a generalised-alpha step of the length ``dt``, from the motion."""
         v, a, rate, s = self._rates

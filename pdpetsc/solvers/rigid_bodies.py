@@ -296,6 +296,14 @@ class RigidBodies:
         inertia = self._moving
         inertia.v[:] = inertia.with_bodies(inertia.v, state.own, state.t)
 
+    def push(self, state: State, forces: tuple[Float, Float], damping: Float, dt: float) -> float:
+        """Set other forces at the end of a time step of central differences; arguments as for ``unbalanced``.
+
+        Return the change of the kinetic energy of central differences [energy].
+        """
+        off = self.unbalanced(state, forces, damping)
+        return sum(rigid.push(one, dt) for (_, rigid), one in zip(self._bodies, off, strict=True))
+
     @property
     def _moving(self) -> Inertia:
         assert self._inertia is not None

@@ -428,3 +428,19 @@ def test_a_turn_that_a_step_does_not_resolve_is_refused(tmp_path):
         pd.run(tumbling("explicit", 4, spin=spin), tmp_path / "explicit")
     found = pd.run(tumbling("implicit", 4, spin=spin), tmp_path / "implicit").history
     assert np.diff(found["time"]).max() * np.linalg.norm(spin) < 2.0
+
+
+def test_momentum_is_conserved_where_bonds_to_a_rigid_part_break(tmp_path):
+    """Of central differences to round-off: both halves of a kick are the same for particles and region."""
+    nodes = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
+    region = pd.region.Box((1.2, -1.0), (3.0, 2.0))
+    torn = pd.InitialVelocity(pd.region.Box((-1.0, -1.0), (1.2, 2.0)), x=-6.0, y=1.0)
+    history = {"x": Momentum(0), "y": Momentum(1), "broken": pd.BrokenBonds(), "error": pd.EnergyError()}
+    material = pd.BondBased(E=1000.0, nu=1.0 / 3.0, plane="stress", density=2.0)
+    law = pd.Brittle(pd.ConstantCritical(0.05))
+    case = flying("explicit", 20, region, nodes, [torn], end=0.1, history=history, material=material, damage=law)
+    found = pd.run(case, tmp_path).history
+    assert found["broken"][-1] > 10
+    for name in "xy":
+        np.testing.assert_allclose(found[name], found[name][0], atol=1e-12 * abs(found["x"][0]))
+    assert np.abs(found["error"]).max() < 0.01

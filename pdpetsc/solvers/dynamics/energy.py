@@ -22,8 +22,9 @@ START, DAMPED, LARGEST, WORK, LOST, GIVEN, CREATED = (
 )  # fmt: skip
 # Names in a checkpoint of rigid bodies: kinetic energy at the start, the largest energy so far, and the work [energy].
 RIGID_START, RIGID_LARGEST, RIGID_WORK = "rigid_energy_at_start", "largest_rigid_energy", "work_on_rigid_bodies"
-# Smallest energy of the body that is judged, over that of rigid bodies: below it is round-off.
-ROUND_OFF = 1e-6
+# Smallest energy of the body that is judged, over that of rigid bodies: below it is round-off. Smallest energy of rigid
+# bodies over that of the body.
+ROUND_OFF, LIGHT = 1e-6, 1e-3
 
 
 class MotionBalance:
@@ -144,10 +145,14 @@ class MotionBalance:
         """Return the stored energy of the body [energy]."""
         return self._held(state)[0]
 
-    def fail(self, released: float, state: State, internal: Float, external: Float) -> None:
-        """Add energy that failing bonds have released at a displacement [energy], and continue with forces after it."""
+    def fail(self, released: float, state: State, internal: Float, external: Float, pushed: float) -> None:
+        """Add energy that failing bonds have released at a displacement [energy], and continue with forces after it.
+
+        ``pushed`` is the change of the kinetic energy of rigid bodies by it [energy].
+        """
         assert self._lost is not None
         self._lost += released
+        self._rigid_work += pushed
         self._given_by, self._force = self._acting(state, internal, external)
 
     def record(self, state: State, dt: float = 0.0) -> float:
@@ -169,7 +174,8 @@ class MotionBalance:
         if self._judges_contact:
             off += max(self._created + touching, 0.0)
         gained, size = rigid - self._rigid_at_start - self._rigid_work, max(self._largest, least)
-        of_rigid, of_body = gained / largest if largest > 0.0 else 0.0, off / size if size > 0.0 else 0.0
+        heavy = max(largest, LIGHT * self._largest)
+        of_rigid, of_body = gained / heavy if heavy > 0.0 else 0.0, off / size if size > 0.0 else 0.0
         return max(of_rigid, of_body if self.known else 0.0, key=abs)
 
     def _rigid_kinetic(self, dt: float) -> float:

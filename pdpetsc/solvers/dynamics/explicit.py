@@ -254,7 +254,9 @@ class ExplicitSolver(Solver):
         square = 1.0 / (half**2 + half * inertia.damping_time)
         square -= 0.0 if self._rigid is None else self._rigid.frequency_squared(rest)
         if square <= 0.0:
-            raise CaseError("A tool is too light for the least_step of Explicit. Use a smaller one, or a larger mass.")
+            raise CaseError(
+                "A rigid body is too light for the least_step of Explicit. Use a smaller one, or a larger mass."
+            )
         inertia.raise_mass(k * largest_frequency(problem, rest, k) ** 2 / square)
 
     def _frequency(self, u: Float, t: float) -> float:
@@ -313,7 +315,9 @@ class ExplicitSolver(Solver):
         place(*acting)
         inertia.v[:] = v
         kinetic = float(total(problem.body.cloud.comm, kinetic - inertia.energy_of_free(dt)))
-        balance.fail(before - balance.stored(after) + kinetic, after, *acting)
+        damping = viscous + inertia.damped(ahead)
+        pushed = 0.0 if self._rigid is None else self._rigid.push(after, acting, damping, dt)
+        balance.fail(before - balance.stored(after) + kinetic, after, *acting, pushed)
         return moved, broken
 
     def _viscous(self, u: Float, velocity: Float) -> Float:

@@ -82,14 +82,14 @@ class RigidBody:
         self._arm = np.zeros(3)
         # Displacement and rotation at the start of the step and now; for each owner those of the last converged step.
         self._d, self._R = np.zeros((2, dim)), np.stack([np.eye(3), np.eye(3)])
-        pushed, turned = (declared.mass is not None) >= self.free[:dim].any(), declared.inertia is not None
         self.inertia: RigidInertia | None = None
-        if declared.loaded and pushed and turned >= declared.twisted:
-            self.inertia = RigidInertia(declared.mass or 1.0, declared.tensor if turned else np.eye(3))
-        # At both ends of the step; the motion in its middle, of central differences.
+        lacks_mass = self.free[:dim].any() and declared.mass is None
+        if declared.loaded and not lacks_mass and not (declared.twisted and declared.inertia is None):
+            self.inertia = RigidInertia(declared.mass or 1.0, declared.tensor if declared.twisted else np.eye(3))
+        # At both ends of the step; the momentum in its middle, of central differences.
         self._rates = np.zeros((4, 6))
         self._rates[VELOCITY] = self._in_space(np.where(self.free, declared.velocities(dim), 0.0))
-        self._ended_rates, self._half = self._rates.copy(), np.zeros(6)
+        self._ended_rates, self._middle = self._rates.copy(), np.zeros(6)
         self._way = np.zeros(6)
         self.kept = np.tile(self._both, (len(owner), 1))
         self._span = (0.0, 0.0)
@@ -138,10 +138,10 @@ class RigidBody:
         elif pushed.any() or np.any(declared.move):
             size = np.sqrt(total(self._comm, float(mass @ ((x - centre) ** 2).sum(axis=1))) / M)
             if np.linalg.norm(centre - about) > NEAR * (size + np.linalg.norm(centre)):
+                at = ", ".join(f"{one:g}" for one in centre[:dim])
                 raise CaseError(
-                    f"{self.title} turns about a point that is not its centre of mass "
-                    f"{tuple(round(float(one), 9) for one in centre[:dim])}, with some directions prescribed. Turn it "
-                    f"about that, or give a force in every direction, or none."
+                    f"{self.title} turns about a point that is not its centre of mass ({at}), with some directions "
+                    f"prescribed. Turn it about that, or give a force in every direction, or none."
                 )
         self._about, self._arm = point[:dim], about - point if declared.turns else np.zeros(3)
         arms = x - point
@@ -292,20 +292,19 @@ class RigidBody:
         """Move by a time step of central differences between two load parameters, with the forces at its start."""
         self._span = (begin, end)
         R = self._R[0]
-        momentum = self._mass.momentum(self._rates[VELOCITY], R) - 0.5 * dt * self._rates[FORCE]
-        self._half = np.where(self._free, self._mass.halfway(momentum, R, dt, self.title), 0.0)
-        self._way = dt * np.concatenate([self._half[:3], R @ self._half[3:]])
+        begun = self._mass.momentum(self._rates[VELOCITY], R)
+        self._middle = np.where(self._free, begun - 0.5 * dt * self._rates[FORCE], 0.0)
+        half = self._mass.halfway(self._middle, R, dt, self.title)
+        self._way = dt * np.concatenate([half[:3], R @ half[3:]])
         self.move(self._way[self._free])
 
     def land(self, unbalanced: Float, dt: float) -> None:
         """Set the rates at the end of a time step of central differences from the loads that nothing balances there."""
-        R0, R1, found, force = self._R[0], self._R[1], np.zeros_like(self._rates), np.zeros(6)
+        R, found, force = self._R[1], np.zeros_like(self._rates), np.zeros(6)
         force[self._free] = unbalanced
-        # The angular momentum in the middle of the step is that of its start and the forces there.
-        middle = self._mass.momentum(self._rates[VELOCITY], R0) - 0.5 * dt * self._rates[FORCE]
-        v = self._mass.velocity(middle + 0.5 * dt * force, R1)
+        v = self._mass.velocity(self._middle + 0.5 * dt * force, R)
         found[VELOCITY] = np.where(self._free, v, self._prescribed_velocity(dt))
-        found[ACCELERATION] = np.where(self._free, self._mass.acceleration(force, v, R1), 0.0)
+        found[ACCELERATION] = np.where(self._free, self._mass.acceleration(force, v, R), 0.0)
         found[RATE], found[FORCE] = force, -force
         self._ended_rates = found
 
@@ -400,7 +399,12 @@ class RigidBody:
         return np.array([way @ masses @ way for way in ways])
 
     def turned_in_step(self, dt: float) -> float:
-        """Return the rotation in a time step, or that with the velocity at its start if it is larger [rad]."""
+        """Return the rotation in a time step, or that with the velocity at its start if it is larger [rad].
+
+        It is 0 for a prescribed rotation.
+        """
+        if not self.declared.twisted:
+            return 0.0
         ahead = dt * float(np.linalg.norm(self._rates[VELOCITY, 3:]))
         return max(ahead, float(np.linalg.norm(self._turn())))
 

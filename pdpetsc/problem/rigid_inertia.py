@@ -68,12 +68,13 @@ class RigidInertia:
             The body turns too far in a step.
         """
         found = self.velocity(momentum, R)
-        if np.linalg.norm(self.tensor - self.tensor[0, 0] * np.eye(3)) > 0.0:
-            for _ in range(ITERATIONS):
-                before = found
-                found = self.velocity(momentum, R @ rotation(0.5 * dt * found[3:]))
-                if np.linalg.norm(found[3:] - before[3:]) <= EXACT * np.linalg.norm(found[3:]):
-                    break
+        if not np.any(self.tensor - self.tensor[0, 0] * np.eye(3)):  # W does not depend on the axes
+            return found
+        for _ in range(ITERATIONS):
+            before = found
+            found = self.velocity(momentum, R @ rotation(0.5 * dt * found[3:]))
+            if np.linalg.norm(found[3:] - before[3:]) <= EXACT * np.linalg.norm(found[3:]):
+                break
         turned = dt * float(np.linalg.norm(found[3:]))
         if not turned <= MOST_TURN:
             raise SolveError(

@@ -20,19 +20,19 @@ import study
 
 words = study.start("beams", "patch")
 
-import beam  # noqa: E402
-import cantilever  # noqa: E402
-import clamped  # noqa: E402
-import elastica  # noqa: E402
-import h5py  # noqa: E402
-import hydrostatic  # noqa: E402
-import numpy as np  # noqa: E402
-import simply_supported  # noqa: E402
-import strip  # noqa: E402
-from scipy.optimize import brentq  # noqa: E402
+import beam
+import cantilever
+import clamped
+import elastica
+import h5py
+import hydrostatic
+import numpy as np
+import simply_supported
+import strip
+from scipy.optimize import brentq
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, world
 
 HORIZONS = (1.015, 2.015, 3.015)
 BEAM_G = (0.0, 0.002, 0.007, 0.013, 0.02, 0.031, 0.05)

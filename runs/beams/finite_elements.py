@@ -14,12 +14,12 @@ import petsc4py
 petsc4py.init(["finite_elements"])
 sys.path.insert(0, str(Path(__file__).parent))
 
-import cantilever  # noqa: E402
-import numpy as np  # noqa: E402
-from scipy.sparse.linalg import splu  # noqa: E402
-from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad  # noqa: E402
+import cantilever
+import numpy as np
+from scipy.sparse.linalg import splu
+from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 STORE = Path(__file__).with_suffix(".json")
 # Load steps, quadratically spaced: the beam is softest at the start.

@@ -14,7 +14,7 @@ import study
 
 words = study.start("beams")
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 CONTROLLED = [name for name in pd.CONTROLS if name != "none"]
 HORIZONS = ("1.015", "2.015", "3.015")

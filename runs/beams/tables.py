@@ -20,10 +20,10 @@ import study
 
 words = study.start("beams") if __name__ == "__main__" else []
 
-import beam  # noqa: E402
-import cantilever  # noqa: E402
-import clamped  # noqa: E402
-import simply_supported  # noqa: E402
+import beam
+import cantilever
+import clamped
+import simply_supported
 
 FULL_STEPS = {"snes_linesearch_type": "basic", "snes_rtol": 1e-10}
 STEPS = range(6, 11)

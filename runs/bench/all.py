@@ -17,7 +17,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
-from scaling import measure  # noqa: E402
+from scaling import measure
 
 RECORDED = HERE / "recorded.json"
 REPEATS = 3

@@ -13,13 +13,13 @@ import petsc4py
 
 petsc4py.init(["bench"])
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
-from pdpetsc.discrete.families import find_families  # noqa: E402
-from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes  # noqa: E402
-from pdpetsc.problem.assembly import Assembler  # noqa: E402
-from pdpetsc.problem.state import State  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_problem  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, largest, world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.state import State
+from pdpetsc.running.build import make_cloud, make_problem
 
 REPEATS = 5
 

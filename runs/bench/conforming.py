@@ -16,9 +16,9 @@ import study
 
 words = study.start("patch")
 
-import tension  # noqa: E402
+import tension
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 REPEATS = 3
 # Particles a side of a block 2 x 1 (x 1).

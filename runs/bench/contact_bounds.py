@@ -18,19 +18,19 @@ import study
 
 words = study.start("bench")
 
-import dataclasses  # noqa: E402
+import dataclasses
 
-import hertz_line  # noqa: E402
-import numpy as np  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
+import hertz_line
+import numpy as np
+from petsc4py import PETSc
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.declare.solvers import Newton  # noqa: E402
-from pdpetsc.declare.tools import Contact  # noqa: E402
-from pdpetsc.petsc.defaults import default_options  # noqa: E402
-from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
-from pdpetsc.petsc.options import Options  # noqa: E402
-from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.declare.tools import Contact
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import assembler, choose, make_tangent
+from pdpetsc.petsc.options import Options
+from pdpetsc.problem.scales import stiffness_scale
 
 LOAD = 0.002
 

@@ -14,14 +14,14 @@ import study
 
 words = study.start("bench")
 
-from box import case  # noqa: E402
-from linear import solve  # noqa: E402
-from mesh import block_of  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
+from box import case
+from linear import solve
+from mesh import block_of
+from petsc4py import PETSc
 
-from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
-from pdpetsc.discrete.halo import Halo  # noqa: E402
-from pdpetsc.running.build import make_cloud  # noqa: E402
+from pdpetsc.discrete.communicator import is_root, largest, world
+from pdpetsc.discrete.halo import Halo
+from pdpetsc.running.build import make_cloud
 
 BROKEN = 0.02
 exchanges = []

@@ -16,8 +16,8 @@ import study
 
 words = study.start()
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.material.at_points import MaterialAtPoints  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.material.at_points import MaterialAtPoints
 
 E, NU, REPEATS = 10.0, 0.3, 9
 LAM, MU = pd.LinearElastic(E, NU).lame(3)

@@ -18,19 +18,19 @@ import study
 
 words = study.start("localisation")
 
-import numpy as np  # noqa: E402
-from periodic_cell import case  # noqa: E402
+import numpy as np
+from periodic_cell import case
 
-from pdpetsc.declare.solvers import EventDriven  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
-from pdpetsc.discrete.families import find_families  # noqa: E402
-from pdpetsc.petsc.defaults import default_options  # noqa: E402
-from pdpetsc.petsc.jacobian import choose  # noqa: E402
-from pdpetsc.petsc.options import Options  # noqa: E402
-from pdpetsc.problem.assembly import Assembler  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_problem  # noqa: E402
-from pdpetsc.solvers.event_driven.solver import EventSolver  # noqa: E402
-from pdpetsc.solvers.protocol import Start  # noqa: E402
+from pdpetsc.declare.solvers import EventDriven
+from pdpetsc.discrete.communicator import is_root, world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import choose
+from pdpetsc.petsc.options import Options
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.running.build import make_cloud, make_problem
+from pdpetsc.solvers.event_driven.solver import EventSolver
+from pdpetsc.solvers.protocol import Start
 
 EVENTS = 600
 FACTORISATIONS = 30

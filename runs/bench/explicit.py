@@ -22,11 +22,11 @@ import study
 
 words = study.start("bench")
 
-import numpy as np  # noqa: E402
-from kernels import BODIES  # noqa: E402
+import numpy as np
+from kernels import BODIES
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.solvers.dynamics.stable_step import largest_frequency  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.solvers.dynamics.stable_step import largest_frequency
 
 REPEATS = 3
 LAMMPS = """

@@ -24,12 +24,12 @@ import study
 
 words = study.start("convergence")
 
-import common  # noqa: E402
-import manufactured  # noqa: E402
-import ring  # noqa: E402
-import rings  # noqa: E402
+import common
+import manufactured
+import ring
+import rings
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 REPEATS = 3
 TARGETS = (0.01, 0.001)

@@ -14,11 +14,11 @@ import study
 
 words = study.start("beams", "plates")
 
-import brick  # noqa: E402
-import cantilever  # noqa: E402
-import clamped  # noqa: E402
+import brick
+import cantilever
+import clamped
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 # How the case is made, the parameter of its size with three values, and the others.
 PROBLEMS = {

@@ -17,8 +17,8 @@ import petsc4py
 
 petsc4py.init(["bench"])
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import world
 
 REPEATS = 7
 CONTROL = "control" if "control" in {field.name for field in dataclasses.fields(pd.Case)} else "stabilisation"

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
-from scaling import measure  # noqa: E402
+import study
+from scaling import measure
 
 CYCLE = ["-pc_mg_type", "multiplicative"]
 # Nearly incompressible bodies need cycles of several steps on a wider part of the spectrum.

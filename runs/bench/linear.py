@@ -19,18 +19,18 @@ import study
 
 words = study.start("bench")
 
-import numpy as np  # noqa: E402
-from box import case  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
+import numpy as np
+from box import case
+from petsc4py import PETSc
 
-from pdpetsc.declare.solvers import Newton  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
-from pdpetsc.petsc.defaults import default_options  # noqa: E402
-from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
-from pdpetsc.petsc.library import linear_solver  # noqa: E402
-from pdpetsc.petsc.options import Options  # noqa: E402
-from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.discrete.communicator import is_root, largest, total, world
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import assembler, choose, make_tangent
+from pdpetsc.petsc.library import linear_solver
+from pdpetsc.petsc.options import Options
+from pdpetsc.problem.scales import stiffness_scale
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse
 
 RTOL = 1e-8
 APPLIED = 5

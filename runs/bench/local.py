@@ -16,13 +16,13 @@ import study
 
 words = study.start("bench")
 
-import numpy as np  # noqa: E402
-import skfem  # noqa: E402
-from box import case  # noqa: E402
-from linear import RTOL, solve  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
-from scipy.sparse import diags  # noqa: E402
-from skfem.models.elasticity import lame_parameters, linear_elasticity  # noqa: E402
+import numpy as np
+import skfem
+from box import case
+from linear import RTOL, solve
+from petsc4py import PETSc
+from scipy.sparse import diags
+from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 STRAIN = 0.01
 

@@ -26,16 +26,16 @@ import study
 
 words = study.start("convergence")
 
-import common  # noqa: E402
-import linear  # noqa: E402
-import numpy as np  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
-from scipy.sparse import csr_matrix  # noqa: E402
+import common
+import linear
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, total, world  # noqa: E402
-from pdpetsc.output.pace import memory_now  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, total, world
+from pdpetsc.output.pace import memory_now
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse
 
 STRAIN, E, NU = 0.01, 1.0, 0.25
 CELLS = {"tetrahedra": (3, common.simplices), "hexahedra": (3, common.cubes), "triangles": (2, common.simplices)}

@@ -15,8 +15,8 @@ import study
 
 words = study.start()
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.command_line.cli import arguments_of, load_case  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.command_line.cli import arguments_of, load_case
 
 CASES = {
     "clamped beam": ("beams/clamped.py", {"ny": 5, "scheme": "sub_horizons"}),

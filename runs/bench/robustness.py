@@ -26,9 +26,9 @@ import study
 
 WORDS = study.start("fracture")
 
-import plate_with_hole  # noqa: E402
+import plate_with_hole
 
-from pdpetsc.errors import Interrupted, PdpetscError  # noqa: E402
+from pdpetsc.errors import Interrupted, PdpetscError
 
 SWEEPS = {
     "quick": {

@@ -22,12 +22,12 @@ import study
 
 words = study.start("bonds")
 
-import numpy as np  # noqa: E402
-from tension_bar import INFLUENCES  # noqa: E402
-from tension_bar import case as bar  # noqa: E402
+import numpy as np
+from tension_bar import INFLUENCES
+from tension_bar import case as bar
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, world
 
 E = 1.0
 BODIES = [(1, "stress"), (2, "strain"), (2, "stress"), (3, "strain")]

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import common  # noqa: E402
-import rings  # noqa: E402
+import common
+import rings
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 E, NU, PULL = 1.0, 0.3, 1e-3
 OUTER = 6.0

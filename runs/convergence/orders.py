@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 words = study.start("convergence")
 
-import bending  # noqa: E402
-import circle  # noqa: E402
-import cook  # noqa: E402
-import hole  # noqa: E402
-import inflation  # noqa: E402
-import manufactured  # noqa: E402
-import ring  # noqa: E402
+import bending
+import circle
+import cook
+import hole
+import inflation
+import manufactured
+import ring
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 SILLING = {"scheme": "correspondence", "horizon": 2.015, "G": 0.5}
 SUB_HORIZONS = {"scheme": "sub_horizons", "horizon": 1.5, "G": 0.0}

@@ -15,14 +15,14 @@ import study
 
 WORDS = study.start("fracture")
 
-import double_cantilever  # noqa: E402
-import edge_crack  # noqa: E402
-import l_panel  # noqa: E402
-import notched_beam  # noqa: E402
-import numpy as np  # noqa: E402
-import plate_with_hole  # noqa: E402
+import double_cantilever
+import edge_crack
+import l_panel
+import notched_beam
+import numpy as np
+import plate_with_hole
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 
 def curve(folder, case, x, y, factor=(1.0, 1.0)):

@@ -15,11 +15,11 @@ from skfem import Basis, ElementQuad2, ElementVector, MeshQuad, asm, condense, s
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("fracture")
 
-import plate_with_hole  # noqa: E402
+import plate_with_hole
 
 STORE = Path(__file__).with_suffix(".json")
 LENGTH, WIDTH, RADIUS = plate_with_hole.LENGTH, plate_with_hole.WIDTH, plate_with_hole.RADIUS

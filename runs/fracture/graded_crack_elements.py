@@ -14,11 +14,11 @@ from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, FacetBasis, 
 from skfem.helpers import ddot, sym_grad, trace
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("fracture")
 
-import graded_crack as plate  # noqa: E402
+import graded_crack as plate
 
 STEP = 1e-3
 ASKED = [

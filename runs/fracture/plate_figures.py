@@ -24,18 +24,18 @@ import study
 
 WORDS = study.start("fracture")
 
-import h5py  # noqa: E402
-import numpy as np  # noqa: E402
-import plate_with_hole  # noqa: E402
+import h5py
+import numpy as np
+import plate_with_hole
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.declare.solvers import Newton  # noqa: E402
-from pdpetsc.discrete.communicator import world  # noqa: E402
-from pdpetsc.petsc.defaults import default_options  # noqa: E402
-from pdpetsc.petsc.jacobian import choose  # noqa: E402
-from pdpetsc.petsc.options import Options  # noqa: E402
-from pdpetsc.problem.assembly import Assembler  # noqa: E402
-from pdpetsc.solvers.newton import StaticSolver  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.discrete.communicator import world
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import choose
+from pdpetsc.petsc.options import Options
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.solvers.newton import StaticSolver
 
 LENGTH, WIDTH, RADIUS = plate_with_hole.LENGTH, plate_with_hole.WIDTH, plate_with_hole.RADIUS
 REFERENCE = json.loads(Path(__file__).with_name("finite_elements.json").read_text())

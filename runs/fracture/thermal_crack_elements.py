@@ -14,11 +14,11 @@ from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, 
 from skfem.helpers import ddot, sym_grad, trace
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("fracture")
 
-import thermal_crack as strip  # noqa: E402
+import thermal_crack as strip
 
 STORE = Path(__file__).with_suffix(".json")
 STEP = 0.002

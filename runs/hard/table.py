@@ -13,9 +13,9 @@ import study
 
 words = study.start("hard")
 
-import block  # noqa: E402
+import block
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 METHODS = [(scheme, "none") for scheme in pd.SCHEMES]
 METHODS += [("correspondence", control) for control in pd.CONTROLS if control != "none"]

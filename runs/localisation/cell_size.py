@@ -16,11 +16,11 @@ import study
 
 words = study.start("localisation")
 
-import numpy as np  # noqa: E402
-from cell_2d import case  # noqa: E402
+import numpy as np
+from cell_2d import case
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, world
 
 DX = 0.05
 SIZES = (6, 8, 12, 16, 24)

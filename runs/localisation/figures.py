@@ -20,11 +20,11 @@ import study
 
 words = study.start("localisation")
 
-import numpy as np  # noqa: E402
-from periodic_cell import LAWS, MICROMODULI, E, case  # noqa: E402
+import numpy as np
+from periodic_cell import LAWS, MICROMODULI, E, case
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, world
 
 SIZES = (10, 20, 50, 100, 200)
 N = 100

@@ -12,9 +12,9 @@ import study
 
 words = study.start("patch")
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 RIGID = {2: 3, 3: 6}
 SIDE = {2: 8, 3: 5}

@@ -16,12 +16,12 @@ from skfem import Basis, BilinearForm, ElementQuad1, ElementQuad2, ElementVector
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent / "solids")]
-import study  # noqa: E402
+import study
 
 study.start("plasticity")
 
-import elements  # noqa: E402
-import plate  # noqa: E402
+import elements
+import plate
 
 STORE = Path(__file__).with_suffix(".json")
 # Largest residual on the free nodes over the reactions.

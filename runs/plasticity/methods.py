@@ -18,10 +18,10 @@ import study
 
 words = study.start("plasticity")
 
-import numpy as np  # noqa: E402
-import plate  # noqa: E402
+import numpy as np
+import plate
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 METHODS = {
     "plain": {"scheme": "correspondence"},

@@ -16,17 +16,17 @@ import study
 
 words = study.start("singular_bar", "plates")
 
-import bar  # noqa: E402
-import brick  # noqa: E402
-import diamond_hole  # noqa: E402
-import matplotlib  # noqa: E402
-import numpy as np  # noqa: E402
-import plate  # noqa: E402
-import square_opening  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
+import bar
+import brick
+import diamond_hole
+import matplotlib
+import numpy as np
+import plate
+import square_opening
+from matplotlib.figure import Figure
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import is_root, world
 
 LABELS = {
     "plain": ("no control", {"scheme": "correspondence"}),

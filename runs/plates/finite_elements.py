@@ -30,13 +30,13 @@ from skfem import (
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("plates")
 
-import brick  # noqa: E402
-import diamond_hole  # noqa: E402
-import square_opening  # noqa: E402
+import brick
+import diamond_hole
+import square_opening
 
 STORE = Path(__file__).with_suffix(".json")
 # Of displacements and of the stress that is averaged.

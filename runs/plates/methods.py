@@ -18,13 +18,13 @@ import study
 
 words = study.start("plates")
 
-import brick  # noqa: E402
-import diamond_hole  # noqa: E402
-import numpy as np  # noqa: E402
-import square_opening  # noqa: E402
+import brick
+import diamond_hole
+import numpy as np
+import square_opening
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.studies.study import working_seconds  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.studies.study import working_seconds
 
 PLATES = {
     "square_opening": (square_opening.case, (1.015, 2.015)),

@@ -14,12 +14,12 @@ import study
 
 words = study.start("plates", "singular_bar")
 
-import bar  # noqa: E402
-import diamond_hole  # noqa: E402
-import plate  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
+import bar
+import diamond_hole
+import plate
+from matplotlib.figure import Figure
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 PAGES = {
     "correspondence": ({}, {}),

@@ -14,12 +14,12 @@ import study
 
 words = study.start("singular_bar")
 
-import bar  # noqa: E402
-import h5py  # noqa: E402
-import numpy as np  # noqa: E402
-import pulled  # noqa: E402
+import bar
+import h5py
+import numpy as np
+import pulled
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 SPRINGS = {100: 0.8, 200: 1.28, 500: 2.0, 1000: 3.0}
 AVERAGES = {100: 60.0, 200: 150.0, 500: 500.0, 1000: 1750.0}

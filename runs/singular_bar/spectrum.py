@@ -13,9 +13,9 @@ import study
 
 words = study.start("singular_bar")
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-import pdpetsc as pd  # noqa: E402
+import pdpetsc as pd
 
 METHODS = {
     "plain": {"scheme": pd.Correspondence()},

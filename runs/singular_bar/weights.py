@@ -23,12 +23,12 @@ import study
 
 words = study.start("singular_bar", "plates")
 
-import bar  # noqa: E402
-import numpy as np  # noqa: E402
-import square_opening  # noqa: E402
+import bar
+import numpy as np
+import square_opening
 
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import total  # noqa: E402
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import total
 
 SIZES = (100, 200, 500, 1000)
 HORIZONS = (2.015, 3.015, 5.1, 10.1)

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementQuad1, ElementQuad2, ElementVector, FacetBasis, LinearForm, MeshQuad
 
 sys.path[:0] = [str(Path(__file__).parent.parent), str(Path(__file__).parent.parent / "convergence")]
-import cook_elements as membrane  # noqa: E402
+import cook_elements as membrane
 
 STORE = Path(__file__).with_suffix(".json")
 RATIOS = (0.3, 0.49, 0.499, 0.4999)

@@ -12,13 +12,13 @@ import numpy as np
 from skfem import FacetBasis, MeshQuad
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("solids", "convergence")
 
-import cook_elements as membrane  # noqa: E402
-import cook_plastic as cook  # noqa: E402
-import elements  # noqa: E402
+import cook_elements as membrane
+import cook_plastic as cook
+import elements
 
 STORE = Path(__file__).with_suffix(".json")
 

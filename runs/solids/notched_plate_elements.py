@@ -12,12 +12,12 @@ import numpy as np
 from skfem import MeshQuad
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("solids")
 
-import elements  # noqa: E402
-import notched_plate as plate  # noqa: E402
+import elements
+import notched_plate as plate
 
 STORE = Path(__file__).with_suffix(".json")
 STEPS = 20

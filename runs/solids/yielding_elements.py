@@ -13,11 +13,11 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 sys.path[:0] = [str(Path(__file__).parent.parent / name) for name in ("plasticity", "convergence")]
-import cook_elements as membrane  # noqa: E402
-import finite_elements as plastic  # noqa: E402
-import yielding_cook as cook  # noqa: E402
-import yielding_neck as neck  # noqa: E402
-from skfem import Basis, ElementQuad2, ElementVector, MeshQuad  # noqa: E402
+import cook_elements as membrane
+import finite_elements as plastic
+import yielding_cook as cook
+import yielding_neck as neck
+from skfem import Basis, ElementQuad2, ElementVector, MeshQuad
 
 STORE = Path(__file__).with_suffix(".json")
 TOLERANCE = 1e-8

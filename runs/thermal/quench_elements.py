@@ -19,11 +19,11 @@ from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, 
 from skfem.helpers import ddot, sym_grad, trace
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-import study  # noqa: E402
+import study
 
 study.start("thermal")
 
-import quench  # noqa: E402
+import quench
 
 STORE = Path(__file__).with_suffix(".json")
 HALF, COEFFICIENT, HOT = 3.0, 50.0, 620.0

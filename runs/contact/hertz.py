@@ -1,6 +1,7 @@
 """Hertz's contacts, and pressures on the facets that touch."""
 
 import numpy as np
+from scipy.optimize import brentq
 
 import pdpetsc as pd
 
@@ -8,6 +9,16 @@ import pdpetsc as pd
 def line(force, radius, modulus):
     """Return half width and largest pressure of a line contact with a force per length."""
     return np.sqrt(4.0 * force * radius / (np.pi * modulus)), np.sqrt(force * modulus / (np.pi * radius))
+
+
+def disc(load, radius, modulus):
+    """Return the force per length of a disc between planes that approach its centre by ``load`` (Johnson, 5.57)."""
+
+    def approach(force):
+        a = line(force, radius, modulus)[0]
+        return 2.0 * force / (np.pi * modulus) * (np.log(4.0 * radius / a) - 0.5)
+
+    return brentq(lambda force: approach(force) - load, 1e-3 * load * modulus, load * modulus)
 
 
 def point(force, radius, modulus):

@@ -8,8 +8,6 @@ Result: ``torque`` over that of the closed form, ``mu k a^4 (1/3 - 64/pi^5 sum t
 for the twist per length k (Timoshenko and Goodier, article 109). Any consistent units.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 import pdpetsc as pd
@@ -21,18 +19,6 @@ def constant(terms=50):
     """Return torque over ``mu k a^4``, 0.1406."""
     odd = 2.0 * np.arange(terms) + 1.0
     return float(1.0 / 3.0 - 64.0 / np.pi**5 * (np.tanh(0.5 * np.pi * odd) / odd**5).sum())
-
-
-@dataclass(frozen=True)
-class Torque(pd.Quantity):
-    """Moment about the axis of the forces of the supports in a region."""
-
-    region: pd.region.Region
-
-    def evaluate(self, solution):
-        held = solution.select(self.region)
-        force, x = pd.reaction(solution)[held], solution.x[held]
-        return float(solution.sum(float((x[:, 0] * force[:, 1] - x[:, 1] * force[:, 0]).sum())))
 
 
 def case(n=32, horizon=1.515, scheme="sub_horizons", G=0.0, layers=2):
@@ -56,7 +42,7 @@ def case(n=32, horizon=1.515, scheme="sub_horizons", G=0.0, layers=2):
             pd.Displacement(low | high, x=turned(0), y=turned(1)),
             pd.Displacement(pd.region.Nearest((0.5 * dx, 0.5 * dx, 0.5 * LENGTH + 0.5 * dx)), z=0.0),
         ],
-        history={"torque": Torque(high)},
+        history={"torque": pd.ReactionMoment(high, about=(0.0, 0.0, 0.0))},
         results=lambda h: {"torque": h["torque"][-1] / exact},
         fields=[pd.displacement, pd.stress],
         expect={"torque": pd.Expected(1.0, relative=0.05, source="Saint-Venant's torsion")},

@@ -51,18 +51,6 @@ def turned(x, angle):
 
 
 @dataclass(frozen=True)
-class Torque(pd.Quantity):
-    """Moment about the axis of the forces of the supports in a region, where its particles are now."""
-
-    region: pd.region.Region
-
-    def evaluate(self, solution):
-        held = solution.select(self.region)
-        force, y = pd.reaction(solution)[held], (solution.x + pd.displacement(solution))[held]
-        return float(solution.sum(float((y[:, 0] * force[:, 1] - y[:, 1] * force[:, 0]).sum())))
-
-
-@dataclass(frozen=True)
 class Radial(pd.Quantity):
     """Mean radial displacement of the side, half-way up."""
 
@@ -105,7 +93,7 @@ def case(n=6, nu=0.4999, angle=45.0, method="patches_control", horizon=2.015, st
         conditions=[pd.Displacement(bottom, x=0.0, y=0.0, z=0.0), pd.Displacement(top, **by)],
         steps=pd.Steps(steps),
         history={
-            "torque": Torque(top),
+            "torque": pd.ReactionMoment(top, about=(0.0, 0.0, 0.0)),
             "press": pd.Reaction("z", bottom),
             "J_error": pd.LargestError(dilatation, lambda x, t: np.ones(len(x))),
             "radial": Radial(),

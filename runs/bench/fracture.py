@@ -77,8 +77,7 @@ def main():
     result = pd.run(case(**arguments_of(case, given)), "out/bench_fracture")
     if not is_root(world()):
         return
-    summary = json.loads(Path("out/bench_fracture/summary.json").read_text())
-    done, spent = summary["steps"], summary["timings"]
+    done, spent = result.summary["steps"], result.summary["timings"]
 
     def mean(name):
         return sum(step.get(name, 0) for step in done) / len(done)
@@ -86,7 +85,7 @@ def main():
     found = {
         "seconds_per_step": spent["solve"] / len(done), "sweeps": mean("sweeps"), "newton": mean("newton_iterations"),
         "linear": mean("linear_iterations"), "broken": result["broken"], "tip": result["tip"],
-        "memory": sum(summary["peak_memory_bytes"]) / 2**20,
+        "memory": sum(result.summary["peak_memory_bytes"]) / 2**20,
     }  # fmt: skip
     print(json.dumps(found, indent=1))
     if target:

@@ -24,7 +24,6 @@ import study
 
 WORDS = study.start("fracture")
 
-import h5py
 import numpy as np
 import plate_with_hole
 
@@ -114,7 +113,6 @@ def roughly(nx, G):
 
 
 def ran(case):
-    scratch = FOLDER / "last_run"
     case = dataclasses.replace(
         case,
         picture=None,
@@ -122,17 +120,14 @@ def ran(case):
         fields=[pd.displacement, pd.local_damage, pd.lost_bonds],
         history={"force": case.history["force"], "broken": pd.BrokenBonds()},
     )
-    pd.run(case, output=scratch)
-    summary = json.loads((scratch / "summary.json").read_text())
-    iterations = [step["newton_iterations"] for step in summary["steps"]]
-    table = np.atleast_1d(np.genfromtxt(scratch / "history.csv", delimiter=",", names=True))
-    table = table[table["t"] > 0.0]
-    with h5py.File(scratch / "fields.h5") as file:
-        steps = [file[name] for name in sorted(file) if name.startswith("step_")]
-        steps = steps[-len(table) :]
-        x, u = file["particles/position"][:, :2], steps[-1]["displacement"][:, :2]
-        damage, lost = [step["local_damage"][:] for step in steps], steps[-1]["lost_bonds"][:]
-    return Found(x, u, damage, lost, table["force"].tolist(), int(table["broken"][-1]), max(iterations))
+    done = pd.run(case, output=FOLDER / "last_run")
+    after = done.history["t"] > 0.0
+    damage = [done.field("local_damage", step) for step in done.fields.steps[-np.count_nonzero(after) :]]
+    return Found(
+        done.x[:, :2], done.field("displacement")[:, :2], damage, done.field("lost_bonds"),
+        done.history["force"][after].tolist(), int(done.history["broken"][-1]),
+        max(step["newton_iterations"] for step in done.summary["steps"]),
+    )  # fmt: skip
 
 
 def elastic(nx, G):

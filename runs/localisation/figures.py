@@ -11,7 +11,6 @@ parts of ``laws`` and ``outlook`` whose numbers the table of the papers has, and
 Curves are left as CSV and pictures, and ``numbers.json`` has the numbers that belong to the figures of one call.
 """
 
-import csv
 import sys
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from periodic_cell import LAWS, MICROMODULI, E, case
 
 import pdpetsc as pd
 from pdpetsc.discrete.communicator import is_root, world
+from pdpetsc.output.reading import read_table
 
 SIZES = (10, 20, 50, 100, 200)
 N = 100
@@ -38,15 +38,12 @@ COLUMNS = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
 
 def run(folder, **parameters):
     """Return results, inelastic displacement and force over E A of all events, middle and length of broken bonds."""
-    scratch = folder / "last_run"
-    found = pd.run(case(**parameters), output=scratch)
-    with (scratch / "history.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    u, force = (np.array([float(row[name]) for row in rows]) for name in ("displacement", "force"))
-    with (scratch / "broken_bonds.csv").open() as file:
-        bonds = np.array([[float(row["x"]) % 1.0, float(row["length"])] for row in csv.DictReader(file)])
+    found = pd.run(case(**parameters), output=folder / "last_run")
+    u, force = found.history["displacement"], found.history["force"]
+    broken = read_table(found.folder / "broken_bonds.csv")
+    bonds = np.stack([broken["x"] % 1.0, broken["length"]], axis=1)
     # After the last bond the displacement grows without force.
-    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, bonds.reshape(-1, 2)
+    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, bonds
 
 
 def damage(bonds, n):

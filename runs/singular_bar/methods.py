@@ -15,7 +15,6 @@ import study
 words = study.start("singular_bar")
 
 import bar
-import h5py
 import numpy as np
 import pulled
 
@@ -87,9 +86,8 @@ def table(folder):
 def profile(folder, case, strain):
     """Return positions and displacements, or strains F - 1, of the solved bar, and its results."""
     done = pd.run(case, output=folder / "profile")
-    with h5py.File(folder / "profile" / "fields.h5") as file:
-        x, step = file["particles/position"][:, 0], file["step_00001"]
-        return x, step["deformation_gradient"][:, 0] - 1.0 if strain else step["displacement"][:, 0], done
+    values = done.field("deformation_gradient")[:, 0, 0] - 1.0 if strain else done.field("displacement")[:, 0]
+    return done.x[:, 0], values, done
 
 
 def curves(folder, module, name, title, n, chosen, window=(0.0, 1.0), error=False, strain=False):

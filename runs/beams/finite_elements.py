@@ -57,8 +57,7 @@ def solve(ny, plane, per_cell):
     basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=4)
     x = basis.doflocs
     vertical = np.zeros(basis.N, dtype=bool)
-    for group in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs):
-        vertical[group[1::2]] = True
+    vertical[basis.split_indices()[1]] = True
     clamp = np.isclose(x[0], 0.0)
     fixed = clamp & (~vertical | np.isclose(x[1], 0.0, atol=1e-9 * dx))
     if not (fixed & vertical).any():

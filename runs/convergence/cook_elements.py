@@ -103,9 +103,8 @@ def solved(n):
     # Nodes on the grid of corners, sides and middles, by their coordinates.
     s = coordinates(LENGTH * basis.doflocs.T)
     grid = [np.argmin(np.abs(s[:, [axis]] - middles(line(n))), axis=1) for axis in (0, 1)]
-    component = np.empty(basis.N, dtype=int)
-    for dofs in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs):
-        component[dofs[0]], component[dofs[1]] = 0, 1
+    component = np.zeros(basis.N, dtype=int)
+    component[basis.split_indices()[1]] = 1
     values = np.full((2 * n + 1, 2 * n + 1, 2), np.nan)
     values[grid[0], grid[1], component] = LENGTH * u
     assert np.isfinite(values).all()

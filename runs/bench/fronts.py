@@ -100,7 +100,8 @@ def factorised(K, f):
 def elements(module, kind, degree, n):
     """Return seconds and errors of finite elements, linear or quadratic; round boundaries are curved with these."""
     import skfem
-    from skfem.helpers import ddot, dot, sym_grad, trace
+    from skfem.helpers import dot
+    from skfem.models.elasticity import linear_elasticity
 
     points, cells = mesh_of(kind, n)
     quads = cells.shape[1] == 4
@@ -121,9 +122,6 @@ def elements(module, kind, degree, n):
              (False, 2): skfem.ElementTriP2}  # fmt: skip
     element = skfem.ElementVector(kinds[quads, degree]())
     basis = skfem.Basis(mesh, element, intorder=2 * degree)
-    stiffness = skfem.BilinearForm(
-        lambda u, v, w: 2.0 * mu * ddot(sym_grad(u), sym_grad(v)) + lam * trace(sym_grad(u)) * trace(sym_grad(v))
-    )
     places = lambda w: w.x.reshape(2, -1).T  # noqa: E731
     back = lambda values, w: values.T.reshape(2, *w.x.shape[1:])  # noqa: E731
     pull = skfem.LinearForm(
@@ -136,7 +134,7 @@ def elements(module, kind, degree, n):
         f = f + skfem.asm(
             skfem.LinearForm(lambda v, w: dot(back(manufactured.body_force(places(w), 1.0), w), v)), basis
         )
-    K = skfem.asm(stiffness, basis)
+    K = skfem.asm(linear_elasticity(lam, mu), basis)
     # Three numbers hold the body, as the particles are held; the rigid motion is taken out of the error.
     at = [(-rings.OUTER, 0.0), (rings.OUTER, 0.0)] if round_one else [(0.0, 0.0), (1.0, 0.0)]
     near = [int(np.argmin(np.linalg.norm(mesh.p.T[: len(points)] - place, axis=1))) for place in at]

@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
-from skfem.helpers import ddot, sym_grad, trace
+from skfem import Basis, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
+from skfem.helpers import sym_grad, trace
+from skfem.models.elasticity import linear_elasticity
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import study
@@ -31,11 +32,6 @@ def temperature(x):
     return 2.0 * x[0] - 1.0
 
 
-@BilinearForm
-def stiffness(u, v, w):
-    return LAM * trace(sym_grad(u)) * trace(sym_grad(v)) + 2.0 * MU * ddot(sym_grad(u), sym_grad(v))
-
-
 @LinearForm
 def heated(v, w):
     return THERMAL * temperature(w.x) * trace(sym_grad(v))
@@ -48,9 +44,8 @@ def energy(a, n):
     x = np.where(graded < 0.0, a * (1.0 + graded), a + (1.0 - a) * graded)
     y = 2.0 * np.linspace(0.0, 1.0, 2 * n + 1) ** 3
     basis = Basis(MeshQuad.init_tensor(x, y), ElementVector(ElementQuad2()), intorder=6)
-    K, f = stiffness.assemble(basis), heated.assemble(basis)
-    vertical = [group[1::2].ravel() for group in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs)]
-    vertical = np.concatenate(vertical)
+    K, f = linear_elasticity(LAM, MU).assemble(basis), heated.assemble(basis)
+    vertical = basis.split_indices()[1]
     at = basis.doflocs[:, vertical]
     held = vertical[(at[1] > 2.0 - 1e-9) | ((at[1] < 1e-9) & (at[0] > a - 1e-9))]
     corner = basis.nodal_dofs[0, np.argmin(np.linalg.norm(basis.mesh.p - np.array([[1.0], [2.0]]), axis=0))]

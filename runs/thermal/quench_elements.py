@@ -15,8 +15,9 @@ import numpy as np
 from scipy.integrate import trapezoid
 from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
-from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad
-from skfem.helpers import ddot, sym_grad, trace
+from skfem import Basis, ElementQuad2, ElementVector, LinearForm, MeshQuad
+from skfem.helpers import sym_grad, trace
+from skfem.models.elasticity import linear_elasticity
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import study
@@ -48,11 +49,6 @@ def fall(y, time):
     return (HOT - quench.WATER) * found
 
 
-@BilinearForm
-def stiffness(u, v, w):
-    return LAM * trace(sym_grad(u)) * trace(sym_grad(v)) + 2.0 * MU * ddot(sym_grad(u), sym_grad(v))
-
-
 @LinearForm
 def cooled(v, w):
     return -THERMAL * w.colder * trace(sym_grad(v))
@@ -65,9 +61,8 @@ def energies(spacing, depth, n):
     y = np.unique(np.concatenate([depth * fine, depth + (HALF - depth) * np.linspace(0.0, 1.0, 3 * n + 1) ** 1.8]))
     mesh = MeshQuad.init_tensor(b * np.linspace(0.0, 1.0, 2 * n + 1) ** 1.8, y)
     basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=5)
-    K, x = stiffness.assemble(basis), basis.doflocs
-    groups = (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs)
-    across, along = (np.concatenate([group[i::2].ravel() for group in groups]) for i in (0, 1))
+    K, x = linear_elasticity(LAM, MU).assemble(basis), basis.doflocs
+    across, along = basis.split_indices()
     left = across[(x[0, across] < 1e-9) & (x[1, across] > depth - 1e-9)]
     right = across[x[0, across] > b - 1e-9]
     middle = along[x[1, along] > HALF - 1e-9]

@@ -1,5 +1,6 @@
 """Running pdpetsc as its users do."""
 
+import csv
 import json
 import os
 import subprocess
@@ -44,7 +45,7 @@ def results(case, *arguments, ranks=1, output):
         run_case([str(ROOT / case), *map(str, arguments)], output)
     else:
         printed(case, *arguments, ranks=ranks, output=output)
-    return json.loads((output / "summary.json").read_text())
+    return summary(output)
 
 
 def printed(case, *arguments, ranks=1, output, timeout=TIMEOUT):
@@ -97,15 +98,27 @@ def wait_until(condition, what, seconds=60.0, every=0.02):
 
 
 class Stop(pd.Quantity):
-    """Ends the run once the step time is beyond a number."""
+    """Ends the run once the step time, or the number of the step, is beyond a number."""
 
-    def __init__(self, after):
-        self.after = after
+    def __init__(self, after, of="t"):
+        self.after, self.of = after, of
 
     def evaluate(self, solution):
-        if solution.t > self.after:
+        if getattr(solution, self.of) > self.after:
             raise pd.Interrupted("enough")
         return 0.0
+
+
+def summary(output):
+    """Return ``summary.json`` of a run."""
+    return json.loads((output / "summary.json").read_text())
+
+
+def history(output):
+    """Return the columns of ``history.csv`` of a run by name."""
+    with (output / "history.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
 def field(output, name, step=-1):

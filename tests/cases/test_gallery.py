@@ -1,14 +1,13 @@
 """The examples of the gallery give what they should, and the gallery notices one that does not."""
 
 import importlib.util
-import json
 import sys
 
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
-from tests.commands import ROOT
+from tests.commands import ROOT, summary
 
 spec = importlib.util.spec_from_file_location("gallery", ROOT / "docs" / "gallery.py")
 gallery = importlib.util.module_from_spec(spec)
@@ -98,7 +97,7 @@ def test_an_example_that_is_off_is_named_and_one_that_has_not_changed_is_not_run
     # A change of what it expects is a change.
     (tmp_path / "runs/few/strip.py").write_text(STRIP.replace("40.0 * off", "41.0 * off"))
     assert len(gallery.build(pages, {"Some": [good]}, work)) == 1
-    assert json.loads((work / "few_strip" / "summary.json").read_text())["checks"][0]["ok"] is False
+    assert summary(work / "few_strip")["checks"][0]["ok"] is False
     # What failed is tried again.
     assert len(gallery.build(pages, {"Some": [good]}, work)) == 1
 

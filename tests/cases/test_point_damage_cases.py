@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, field, results
+from tests.commands import ROOT, field, history, results
 from tests.damage.test_point_damage_runs import cohesive_over_griffith
 
 sys.path.append(str(ROOT / "runs/fracture"))
@@ -18,10 +18,6 @@ import thermal_crack
 
 def found(name, *words, output, ranks=1):
     return results(f"runs/{name}.py", *words, output=output, ranks=ranks)["results"]
-
-
-def history(output):
-    return np.genfromtxt(output / "history.csv", delimiter=",", names=True)
 
 
 def cohesive_penny_over_griffith(a, length, cells=40):

@@ -4,7 +4,6 @@ Exit status 0 means a summary that says "converged", finite results, a complete 
 """
 
 import contextlib
-import csv
 import json
 import math
 import os
@@ -18,7 +17,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
-from tests.commands import ROOT, command
+from tests.commands import ROOT, command, history, summary
 
 # How many draws are run in this process and in processes: the same ones on any machine, whatever else it does.
 INSIDE, OUTSIDE = 20, 4
@@ -160,13 +159,11 @@ def drawn(rng, ranks=1):
 
 def right(folder):
     """Fail unless a run whose exit status is 0 has left what a finished run leaves."""
-    summary = json.loads((folder / "summary.json").read_text())
-    assert summary["status"] == "converged"
-    assert all(value is not None and math.isfinite(value) for value in summary["results"].values())
-    with (folder / "history.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert float(rows[-1]["t"]) == pytest.approx(1.0)
-    assert len(rows) == len(summary["steps"]) + 1
+    left, t = summary(folder), history(folder)["t"]
+    assert left["status"] == "converged"
+    assert all(value is not None and math.isfinite(value) for value in left["results"].values())
+    assert t[-1] == pytest.approx(1.0)
+    assert len(t) == len(left["steps"]) + 1
     assert not (folder / "traceback.txt").exists()
 
 

@@ -19,7 +19,7 @@ from pdpetsc.damage import (
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from tests.commands import jacobian_ratios, results
+from tests.commands import history, jacobian_ratios, results
 from tests.damage.test_fracture import broken, strip
 from tests.scenes import (
     BONDS,
@@ -33,7 +33,6 @@ from tests.scenes import (
     displacement,
     small_points,
 )
-from tests.solvers.test_events import history
 
 
 class _EnergyDrive(LocalDrivingVariable):

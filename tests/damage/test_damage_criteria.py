@@ -20,11 +20,10 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 from pdpetsc.solvers.table import refuse_unmet
 from pdpetsc.terms.bond_forces import BondForces
-from tests.commands import ROOT, Stop, field, jacobian_ratios, results
+from tests.commands import ROOT, Stop, field, history, jacobian_ratios, results
 from tests.damage.test_criterion import K, bar, check_tangent, pulled
 from tests.damage.test_fracture import broken, strip
 from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body, small_points
-from tests.solvers.test_events import history
 from tests.toys import Wearing
 
 J2 = dataclasses.replace(MATERIALS["j2"], yield_stress=0.1)

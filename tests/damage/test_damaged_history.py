@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
-from tests.commands import ROOT, field, results
+from tests.commands import ROOT, field, history, results
 from tests.damage.test_fracture import broken
 from tests.pairs import pairs
 from tests.scenes import (
@@ -199,13 +199,13 @@ def test_a_body_that_flows_breaks_alike_on_any_ranks_and_after_a_restart(scheme,
     whole = results(path, *words, output=tmp_path / "1")["results"]
     assert whole["broken"] > 5
     assert abs(whole["force"]) < 0.5 * whole["peak"]
-    history = np.genfromtxt(tmp_path / "1" / "history.csv", delimiter=",", names=True)
-    assert history["flow"].max() > 0.01
+    h = history(tmp_path / "1")
+    assert h["flow"].max() > 0.01
     results(path, *words, output=tmp_path / "2", ranks=2)
     pairs = {run: [(row[0], row[2], row[3]) for row in broken(tmp_path / run)] for run in ("1", "2")}
     assert pairs["1"] == pairs["2"]
     # Stopped in the middle of damage, continued on the other number of ranks.
-    first = history["t"][np.flatnonzero(history["broken"] > 0)[0]]
+    first = h["t"][np.flatnonzero(h["broken"] > 0)[0]]
     case = load_case(path)(scheme=scheme, law=law, steps=steps, stop=float(first) - 1e-9)
     with pytest.raises(pd.Interrupted):
         pd.run(case, output=tmp_path / "part")

@@ -3,16 +3,15 @@
 import csv
 import dataclasses
 import itertools
-import json
 import sys
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, Stop, field, results
+from tests.commands import ROOT, Stop, field, history, results, summary
 from tests.scenes import DIMS, bond_body, dense_tangent, differences
-from tests.solvers.test_events import history, one_bond
+from tests.solvers.test_events import one_bond
 
 sys.path.append(str(ROOT / "runs/fracture"))
 import plate_with_hole
@@ -128,7 +127,7 @@ def test_a_restart_goes_on_with_the_same_bonds_and_fields(tmp_path):
     with pytest.raises(pd.Interrupted):
         pd.run(stopped, output=tmp_path / "part")
     checkpoint = tmp_path / "part" / "checkpoint.h5"
-    assert json.loads((tmp_path / "part" / "summary.json").read_text())["status"] == "enough"
+    assert summary(tmp_path / "part")["status"] == "enough"
     assert 0 < len(broken(tmp_path / "part")) < len(broken(tmp_path / "whole"))
     for ranks in (1, 2):
         rest = tmp_path / f"rest{ranks}"
@@ -177,7 +176,7 @@ def test_compression_breaks_nothing_but_bonds_that_it_lengthens(tmp_path):
     assert found["force"] < 0.0
     assert found["broken"] == 0.0
     assert pressed(0.8)["broken"] > 0.0
-    held = json.loads((tmp_path / "summary.json").read_text())["pieces"]
+    held = summary(tmp_path)["pieces"]
     assert held == {"pieces": 1, "lone_particles": 0, "forces_left": held["forces_left"]}
     assert held["forces_left"] > 0.1
     # Particles are numbered column by column: a bond to the same or the next column lies across.
@@ -245,7 +244,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
         history={**strip().history, "unbalanced": Unbalanced(), "over": Overstretched()},
     )
     pd.run(case, output=tmp_path)
-    steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    steps = summary(tmp_path)["steps"]
     assert any(step.get("sweeps") for step in steps)
     h = history(tmp_path)
     assert h["unbalanced"].max() < 1e-9 * h["force"].max()
@@ -279,9 +278,9 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
     case = plate_with_hole.case(pull=0.1, steps=8, effect="present")
     history_of = {"force": case.history["force"], "unbalanced": Unbalanced(), "present": Present()}
     pd.run(dataclasses.replace(case, history=history_of, results=None, picture=None), output=tmp_path)
-    summary, h = json.loads((tmp_path / "summary.json").read_text()), history(tmp_path)
-    assert any(step.get("sweeps") for step in summary["steps"])
-    assert summary["pieces"]["forces_left"] < 1e-9
+    left, h = summary(tmp_path), history(tmp_path)
+    assert any(step.get("sweeps") for step in left["steps"])
+    assert left["pieces"]["forces_left"] < 1e-9
     assert h["unbalanced"].max() < 1e-9 * h["force"].max()
     assert h["present"].max() < 1e-10
 

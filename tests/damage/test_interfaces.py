@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, results
+from tests.commands import ROOT, history, results
 from tests.damage.test_fracture import broken
 from tests.scenes import MATERIALS, bond_body, damaged_body, dense_tangent, differences
-from tests.solvers.test_events import history
 
 LEFT = pd.region.Slab("x", high=6.0)
 CRITICAL = pd.ConstantCritical

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 
 import h5py
 import numpy as np
@@ -12,9 +11,8 @@ import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
 from pdpetsc.output.checkpoint import seal
 from pdpetsc.running.crack_energy import missed_fracture_energy
-from tests.commands import field, results
+from tests.commands import field, history, results, summary
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
-from tests.solvers.test_events import history
 from tests.terms.test_heat import heat_of
 
 CURVES = {
@@ -464,7 +462,7 @@ def test_a_path_without_a_matrix_passes_the_peak_in_few_iterations(tmp_path):
     for name in ("t", "force", "dissipated"):
         direct, free = (np.asarray(h[name]) for h in found.values())
         np.testing.assert_allclose(free, direct, rtol=1e-6, atol=1e-6 * direct.max())
-    steps = json.loads((tmp_path / "no matrix" / "summary.json").read_text())["steps"]
+    steps = summary(tmp_path / "no matrix")["steps"]
     elastic = [step for step in steps if step["newton_iterations"] == 0]
     assert len(elastic) == 3
     assert sum(step["newton_iterations"] for step in steps) < 75

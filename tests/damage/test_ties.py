@@ -1,14 +1,13 @@
 """Which bonds break follows from the body, not from its units, the order of its particles or the last bits."""
 
 import csv
-import json
 import logging
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import results
+from tests.commands import history, results, summary
 
 pytestmark = pytest.mark.processors
 
@@ -78,8 +77,7 @@ def run(made, folder):
     """Run a case; return its forces in the first units, and the pairs that broke by their first numbers."""
     case, order, unit = made
     pd.run(case, output=folder)
-    with (folder / "history.csv").open() as file:
-        force = np.array([float(row["force"]) for row in csv.DictReader(file)]) / unit**2
+    force = history(folder)["force"] / unit**2
     with (folder / "broken_bonds.csv").open() as file:
         pairs = {frozenset((order[int(row["i"])], order[int(row["j"])])) for row in csv.DictReader(file)}
     return force, pairs
@@ -116,7 +114,7 @@ def test_the_same_bonds_break_in_every_notation(scene, tmp_path):
 
 def growth(folder):
     """Return by how much a deviation grows from sweep to sweep where each step ends; 0 for steps without sweeps."""
-    return [step.get("growth", 0.0) for step in json.loads((folder / "summary.json").read_text())["steps"]]
+    return [step.get("growth", 0.0) for step in summary(folder)["steps"]]
 
 
 def test_the_growth_of_a_deviation_is_that_of_two_springs(tmp_path):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from scipy.spatial import cKDTree
 
 import pdpetsc as pd
 from pdpetsc.gradient import stress_points
-from tests.commands import ROOT, Stop, called, field, jacobian_ratios, printed, results, run_several
+from tests.commands import ROOT, Stop, called, field, jacobian_ratios, printed, results, run_several, summary
 from tests.damage.test_criterion import FamilyStretch
 from tests.pairs import pairs
 from tests.scenes import ALL_CONTROLS, BONDS
@@ -551,7 +550,7 @@ def test_pieces_are_those_of_the_whole_body(tmp_path):
     weak = pd.CriticalFunction(lambda length, middle: np.where(np.abs(middle[:, 0]) < 1e-9, 0.03, 0.5))
     case = pulled("x", False, dim=1, horizon=1.015, material=pd.BondBased(E=10.0), damage=pd.Brittle(weak))
     pd.run(case, output=tmp_path)
-    assert json.loads((tmp_path / "summary.json").read_text())["pieces"]["pieces"] == 2
+    assert summary(tmp_path)["pieces"]["pieces"] == 2
 
 
 def test_a_checkpoint_of_a_part_is_of_no_other_planes(tmp_path):

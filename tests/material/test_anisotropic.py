@@ -1,14 +1,13 @@
 """Anisotropic linear elasticity: off-axis moduli, isotropic limit, bodies of lower dimension, orientation by place."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.material.at_points import MaterialAtPoints
-from tests.commands import script_on
+from tests.commands import script_on, summary
 from tests.material.test_hyperelastic import BODIES, strip
 from tests.material.test_material import Law, derivative
 from tests.scenes import rotation
@@ -112,7 +111,7 @@ def test_orientation_may_follow_a_function_of_place(tmp_path):
     field = force(wavy, "d")
     assert field != pytest.approx(constant, rel=1e-2)
     script_on(2, SEVERAL, tmp_path / "e")
-    found = json.loads((tmp_path / "e" / "summary.json").read_text())["results"]["force"]
+    found = summary(tmp_path / "e")["results"]["force"]
     assert found == pytest.approx(field, rel=1e-9)
 
 

@@ -1,7 +1,6 @@
 """Materials from a strain energy: against laws written by hand, closed forms, and what is refused."""
 
 import dataclasses
-import json
 import os
 import subprocess
 import sys
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, results, script_on
+from tests.commands import ROOT, results, script_on, summary
 from tests.material.test_material import Law, derivative, gradients
 from tests.scenes import rotation
 
@@ -269,7 +268,7 @@ def test_a_body_of_the_law_by_hand_is_the_same(tmp_path):
         )
     )
     assert text["force"] == pytest.approx(hand["force"], rel=1e-10)
-    summaries = [json.loads((tmp_path / name / "summary.json").read_text()) for name in ("hand", "text")]
+    summaries = [summary(tmp_path / name) for name in ("hand", "text")]
     one, other = ([step["newton_iterations"] for step in summary["steps"]] for summary in summaries)
     assert one == other and max(one) > 1
 
@@ -421,7 +420,7 @@ def test_ranks_agree_on_fibres_by_place_and_on_what_is_wrong_on_one(tmp_path):
     alone = pd.run(strip(reinforced(turning)), output=tmp_path / "alone")["force"]
     said = script_on(2, ONE_RANK_ALONE, tmp_path / "two")
     assert said.count("of length 2; it must be a unit vector.") == 2
-    together = json.loads((tmp_path / "two" / "summary.json").read_text())["results"]["force"]
+    together = summary(tmp_path / "two")["results"]["force"]
     assert together == pytest.approx(alone, rel=1e-9)
 
 

@@ -1,7 +1,6 @@
 """Laws with history at points: derivatives, objectivity, closed forms, free sides, time, and small bodies."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
 from pdpetsc.material.at_points import MaterialAtPoints
-from tests.commands import ROOT, field, results
+from tests.commands import ROOT, field, results, summary
 from tests.laws import DURATION, ISOTROPIC, LAWS, NU, E, Y
 from tests.scenes import body, dense_tangent, differences, displacement, rotation
 
@@ -525,7 +524,7 @@ def test_a_tangent_that_is_not_symmetric_is_not_factorised_as_one(tmp_path):
     case = load_case(ROOT / CASE)
     for name, chosen in (("drucker_prager", "cholesky"), ("not_associated", "lu")):
         pd.run(case(law=name, plane="strain", steps=2), output=tmp_path)
-        assert json.loads((tmp_path / "summary.json").read_text())["options"]["pc_type"]["value"] == chosen
+        assert summary(tmp_path)["options"]["pc_type"]["value"] == chosen
 
 
 def test_one_time_goes_by_in_a_case(tmp_path):
@@ -597,7 +596,7 @@ def test_a_body_beyond_its_limit_load_is_in_no_equilibrium(size, tmp_path):
     perfect = pd.KinematicJ2(100.0 * size, 0.3, plane="stress", yield_stress=size)
     with pytest.raises(pd.SolveError, match="above the limit load of the body"):
         pd.run(runaway(perfect, 1.2 * size), tmp_path)
-    steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    steps = summary(tmp_path)["steps"]
     # Its ends, which the boundaries of the gradients stiffen, carry a little more.
     assert 0.98 <= 1.2 * steps[-1]["t"] <= 1.01
 

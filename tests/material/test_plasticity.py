@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib.util
-import json
 import math
 
 import numpy as np
@@ -12,7 +11,7 @@ import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import StepResult
-from tests.commands import ROOT, Stop, field, results
+from tests.commands import ROOT, Stop, field, results, summary
 from tests.scenes import DIMS, SCHEMES, body, dense_tangent, displacement, rotation
 
 STEEL = pd.J2(E=100.0, nu=0.3, yield_stress=1.0, hardening=5.0)
@@ -234,7 +233,7 @@ def test_a_patch_follows_the_law_of_its_fibres(dim, tmp_path):
         results=lambda h: {"force": h["force"][-1]},
     )
     pd.run(case, output=tmp_path)
-    found = json.loads((tmp_path / "summary.json").read_text())["results"]["force"]
+    found = summary(tmp_path)["results"]["force"]
     assert found == pytest.approx(patch_force(dim) * 4.0 ** (dim - 1), rel=1e-8)
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 import pdpetsc as pd
 from pdpetsc.output.report import write_report
-from tests.commands import called, python_on, run
+from tests.commands import called, python_on, run, summary
 
 CASE = '''
 """A bar <pulled> & held."""
@@ -87,16 +87,16 @@ def reported(tmp_path_factory):
 
 def test_a_report_says_what_was_asked_and_what_came_out(reported):
     page, text = read(reported)
-    summary = json.loads((reported / "summary.json").read_text())
+    left = summary(reported)
     for expected in (
         "converged", "72 particles in 2D", "A bar <pulled> & held.", "--check --report", "dx 0.5", "a <guess>",
-        f"force {summary['results']['force']:.8g}", "units mm, N", "-snes_rtol", "2 steps, ",
-        f"{summary['timings']['solve']:.3f}", "Peak memory", "end [mm]", "scheme SubHorizons",
+        f"force {left['results']['force']:.8g}", "units mm, N", "-snes_rtol", "2 steps, ",
+        f"{left['timings']['solve']:.3f}", "Peak memory", "end [mm]", "scheme SubHorizons",
     ):  # fmt: skip
         assert expected in text, expected
-    check = summary["checks"][0]
+    check = left["checks"][0]
     assert f"force 150 {check['got']:.8g} {check['difference']:.8g} 75 ok" in text
-    for step in summary["steps"]:
+    for step in left["steps"]:
         assert f"{step['step']} {step['t']:.8g} {step['newton_iterations']} {step['linear_iterations']}" in text
     assert len(page.images) == 4  # the body, load and displacement, history, Newton
     for image in page.images:
@@ -143,9 +143,9 @@ def test_a_run_that_fails_or_is_off_has_a_report_too(reported, tmp_path):
 
 def test_a_report_of_what_a_killed_run_left(reported, tmp_path):
     shutil.copytree(reported, tmp_path / "killed")
-    summary = json.loads((tmp_path / "killed" / "summary.json").read_text())
-    summary |= {"status": "running", "steps": [], "results": {}, "timings": {}, "peak_memory_bytes": []}
-    (tmp_path / "killed" / "summary.json").write_text(json.dumps(summary))
+    left = summary(tmp_path / "killed")
+    left |= {"status": "running", "steps": [], "results": {}, "timings": {}, "peak_memory_bytes": []}
+    (tmp_path / "killed" / "summary.json").write_text(json.dumps(left))
     write_report(tmp_path / "killed")
     _, text = read(tmp_path / "killed")
     assert "has not ended, or was killed" in text and "No step has converged" in text and "Nothing was timed" in text

@@ -1,13 +1,12 @@
 """What a case expects is compared where the run is asked to, and a run that is off does not end with status 0."""
 
-import json
 import math
 
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.running.checks import compared, failure, lines
-from tests.commands import called, run
+from tests.commands import called, run, summary
 
 STRIP = """
 import pdpetsc as pd
@@ -50,10 +49,6 @@ def made():
     namespace = {}
     exec(STRIP, namespace)
     return namespace["case"]
-
-
-def summary(folder):
-    return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.mark.parametrize(("unit", "force_unit"), [(1.0, 1.0), (1e-20, 1e20), (1e20, 1e-20)])

@@ -28,7 +28,7 @@ from pdpetsc.output.index import Index, Step, part_of, storable
 from pdpetsc.output.records import rows_of, write_summary
 from pdpetsc.output.report import write_report
 from pdpetsc.running.build import make_cloud, make_problem
-from tests.commands import ROOT, Stop, command, field, run
+from tests.commands import ROOT, Stop, command, field, run, summary
 
 CASE = """
 import pdpetsc as pd
@@ -129,7 +129,7 @@ def test_steps_solver_and_records_may_differ(tmp_path):
         picture=pd.Picture(pd.local_damage, ""),
     )
     pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part")
-    assert json.loads((tmp_path / "rest" / "summary.json").read_text())["status"] == "converged"
+    assert summary(tmp_path / "rest")["status"] == "converged"
 
 
 @pytest.mark.long
@@ -825,7 +825,7 @@ def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(tmp_path):
         case = dataclasses.replace(plate, history={**plate.history, "until": Stop(end)})
         with pytest.raises(pd.Interrupted):
             pd.run(case, output=tmp_path / name, **words)
-    assert json.loads((tmp_path / "whole" / "summary.json").read_text())["steps"][3]["sweeps"] > 100
+    assert summary(tmp_path / "whole")["steps"][3]["sweeps"] > 100
     for after in (0.05, 0.15):
         with h5py.File(tmp_path / "whole/fields.h5") as one, h5py.File(tmp_path / f"rest_{after}/fields.h5") as other:
             steps = [name for name in other if name.startswith("step_")]
@@ -1006,8 +1006,7 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
         with pytest.raises(pd.Interrupted):
             pd.run(stopping, output=out, **again)
         if killed:
-            summary = json.loads((out / "summary.json").read_text())
-            (out / "summary.json").write_text(json.dumps({**summary, "status": "running", "steps": []}))
+            (out / "summary.json").write_text(json.dumps({**summary(out), "status": "running", "steps": []}))
     caplog.clear()
     rest = pd.run(case, output=out, restart=out)
     assert said_at_the_end(caplog) == expected

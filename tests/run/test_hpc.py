@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numba.core.caching import _CacheLocator
 
-from tests.commands import ROOT, run, script_on
+from tests.commands import ROOT, run, script_on, summary
 
 SCRIPTS = sorted((ROOT / "runs" / "hpc").glob("*.s*"))
 ON_TWO_RANKS = f'exec "{ROOT / ".ci" / "mpirun"}" 2 "$@"'
@@ -72,11 +72,6 @@ def submit(folder, script, *words, srun=ON_TWO_RANKS, **variables):
         ["bash", f"runs/hpc/{script}", *map(str, words)],
         cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
-
-
-def summary(folder):
-    """Return what a run left."""
-    return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)

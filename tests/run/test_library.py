@@ -1,6 +1,5 @@
 """Use from Python: results, runs opened again, problems driven by hand, groups of ranks, options, logging."""
 
-import json
 import logging
 import textwrap
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, Stop, python_on, script_on
+from tests.commands import ROOT, Stop, python_on, script_on, summary
 
 LENGTH, WIDTH, PULL, E = 4.0, 1.0, 5.0, 1000.0
 
@@ -304,5 +303,4 @@ def test_a_group_that_fails_inside_the_run_of_all_ends_that(size, tmp_path):
     finished = python_on(2 * size, script)
     assert finished.returncode != 0
     assert "horizon" in finished.stderr
-    summary = json.loads((tmp_path / "outer" / "summary.json").read_text())
-    assert summary["status"] != "running"
+    assert summary(tmp_path / "outer")["status"] != "running"

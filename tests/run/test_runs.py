@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, called, command, field, results, run, wait_until
+from tests.commands import ROOT, called, command, field, history, results, run, summary, wait_until
 
 CLAMPED = ROOT / "runs/beams/clamped.py"
 
@@ -31,10 +31,6 @@ def strip(pull=0.3, **changes):
         "results": lambda h: {"force": h["force"][-1]},
     }
     return pd.Case(**(declared | changes))
-
-
-def summary(folder):
-    return json.loads((folder / "summary.json").read_text())
 
 
 def test_python_call_equals_the_command_line(tmp_path):
@@ -80,7 +76,7 @@ def test_external_work_is_stored_and_what_is_not_is_dissipated(tmp_path):
 
     def gap(**changes):
         pd.run(strip(history=energies, results=None, **changes), output=tmp_path)
-        rows = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
+        rows = history(tmp_path)
         assert np.all(rows["lost"] == 0.0)
         return abs(rows["work"][-1] - rows["stored"][-1] - rows["control"][-1]) / rows["work"][-1]
 

@@ -2,14 +2,13 @@
 
 import contextlib
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
-from tests.commands import ROOT
+from tests.commands import ROOT, summary
 from tests.units import in_units
 
 # Cases that iterate, small: what solvers do to them must be the same in all units.
@@ -74,7 +73,7 @@ def steps_of(case, options, folder):
     # A run that ends early must end early at the same place in all units.
     with contextlib.suppress(pd.SolveError):
         pd.run(case, output=folder, options=options)
-    return json.loads((folder / "summary.json").read_text())["steps"]
+    return summary(folder)["steps"]
 
 
 def refuse_other_history(found, expected):

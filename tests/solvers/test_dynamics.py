@@ -257,22 +257,13 @@ def test_ranks_and_matrix_free_steps_move_alike(explicit, tmp_path):
         assert free == pytest.approx(one, abs=1e-8)
 
 
-class Stopping(pd.Quantity):
-    """Ends a run after half of its records."""
-
-    def evaluate(self, solution):
-        if solution.step == 5:
-            raise RuntimeError("stopped")
-        return 0.0
-
-
 @pytest.mark.parametrize("explicit", [True, False])
 def test_a_restart_moves_as_if_the_run_had_not_stopped(explicit, tmp_path):
     solver = pd.Explicit(end=0.2, records=10) if explicit else pd.Implicit(dt=0.02, end=0.2)
     case = dataclasses.replace(spinning(solver), checkpoints=1)
     whole = pd.run(case, tmp_path / "whole")
-    half = dataclasses.replace(case, history={**case.history, "stop": Stopping()})
-    with pytest.raises(pd.RunError):
+    half = dataclasses.replace(case, history={**case.history, "stop": Stop(4, "step")})
+    with pytest.raises(pd.Interrupted):
         pd.run(half, tmp_path / "half")
     again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
     assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
@@ -359,8 +350,8 @@ def test_a_restart_of_conserving_steps_is_exact(tmp_path):
     case = spinning(pd.Implicit(dt=0.1, end=0.8, energy_momentum=True), dim=3, n=3)
     case = dataclasses.replace(case, checkpoints=1)
     whole = pd.run(case, tmp_path / "whole")
-    with pytest.raises(pd.RunError):
-        pd.run(dataclasses.replace(case, history={**case.history, "stop": Stopping()}), tmp_path / "half")
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(case, history={**case.history, "stop": Stop(4, "step")}), tmp_path / "half")
     again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
     assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
     assert np.abs(whole.history["error"]).max() < 1e-9
@@ -643,8 +634,8 @@ def test_a_restart_takes_other_records_but_no_other_end(explicit, tmp_path):
         return pd.Implicit(dt=0.02, end=end, every=every)
 
     case = dataclasses.replace(spinning(solver()), checkpoints=1)
-    half = dataclasses.replace(case, history={**case.history, "stop": Stopping()})
-    with pytest.raises(pd.RunError):
+    half = dataclasses.replace(case, history={**case.history, "stop": Stop(4, "step")})
+    with pytest.raises(pd.Interrupted):
         pd.run(half, tmp_path / "half")
     whole = pd.run(case, tmp_path / "whole")
     other = dataclasses.replace(case, solver=solver(every=3))

@@ -11,7 +11,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.solvers.event_driven.direction import Changed, find_direction
 from tests import reference
-from tests.commands import ROOT, called, results
+from tests.commands import ROOT, called, history, results
 
 sys.path.append(str(ROOT / "runs/localisation"))
 import cell_2d
@@ -19,12 +19,6 @@ import notched_bar
 import periodic_cell
 
 CELL = "runs/localisation/periodic_cell.py"
-
-
-def history(folder):
-    with (folder / "history.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
 def broken(folder):

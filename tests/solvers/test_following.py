@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, results
-from tests.solvers.test_events import history, one_bond
+from tests.commands import ROOT, Stop, history, results
+from tests.solvers.test_events import one_bond
 
 sys.path.append(str(ROOT / "runs/fracture"))
 import centre_crack
@@ -78,20 +78,11 @@ def case():
         assert np.allclose(one[name], other[name], rtol=1e-6, atol=1e-6 * np.abs(one[name]).max())
 
 
-class Stop(pd.Quantity):
-    """Ends the run after some steps."""
-
-    def evaluate(self, solution):
-        if solution.step > 15:
-            raise pd.Interrupted("enough")
-        return 0.0
-
-
 @pytest.mark.long
 def test_a_restart_goes_on_along_the_path(tmp_path):
     case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.5), checkpoints=4)
     pd.run(case, output=tmp_path / "whole")
-    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop()})
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(15, "step")})
     with pytest.raises(pd.Interrupted):
         pd.run(stopped, output=tmp_path / "part")
     checkpoint = tmp_path / "part" / "checkpoint.h5"

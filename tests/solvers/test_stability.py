@@ -1,7 +1,6 @@
 """Unstable equilibria are reported, shortened or refused."""
 
 import dataclasses
-import json
 import logging
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare import region
-from tests.commands import results
+from tests.commands import results, summary
 
 LENGTH, E = 10.0, 1000.0
 # Euler's force of a column that is clamped at one end, of unit depth and thickness.
@@ -34,14 +33,10 @@ def column(load=3.0, steps=24, **options):
     )
 
 
-def steps_of(folder):
-    return json.loads((folder / "summary.json").read_text())["steps"]
-
-
 def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, caplog):
     with caplog.at_level(logging.INFO, logger="pdpetsc"):
         pd.run(column(), output=tmp_path)
-    steps = steps_of(tmp_path)
+    steps = summary(tmp_path)["steps"]
     unstable = [step["t"] * 3.0 for step in steps if step["negative_pivots"]]
     stable = [step["t"] * 3.0 for step in steps if step["negative_pivots"] == 0]
     assert len(stable) + len(unstable) == 24
@@ -57,7 +52,7 @@ def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, caplog):
 def test_steps_are_shortened_towards_the_critical_force(tmp_path):
     with pytest.raises(pd.SolveError, match="unstable, with 1 negative pivot"):
         pd.run(column(unstable="shorten"), output=tmp_path)
-    steps = steps_of(tmp_path)
+    steps = summary(tmp_path)["steps"]
     assert not any(step["negative_pivots"] for step in steps)
     assert steps[-1]["t"] * 3.0 == pytest.approx(CRITICAL, rel=0.05)
 
@@ -72,12 +67,12 @@ def test_a_crooked_column_finds_the_stable_branch(tmp_path):
     case = column(steps=8, unstable="refuse")
     side = pd.Force(region.Slab("x", low=LENGTH - 0.2), y=1e-3 * 3.0)
     pd.run(dataclasses.replace(case, conditions=[*case.conditions, side]), output=tmp_path)
-    assert len(steps_of(tmp_path)) == 8
+    assert len(summary(tmp_path)["steps"]) == 8
 
 
 def test_an_iterative_solver_does_not_tell(tmp_path):
     pd.run(column(load=1.0, steps=2), output=tmp_path, options={"pc_type": "gamg"})
-    assert [step["negative_pivots"] for step in steps_of(tmp_path)] == [None, None]
+    assert [step["negative_pivots"] for step in summary(tmp_path)["steps"]] == [None, None]
 
 
 UNKNOWN = {
@@ -93,13 +88,13 @@ UNKNOWN = {
 @pytest.mark.parametrize("why", UNKNOWN)
 def test_where_the_tangent_is_not_what_was_factored_its_pivots_are_unknown(why, tmp_path):
     pd.run(column(load=0.5, steps=2), output=tmp_path, options=UNKNOWN[why])
-    assert [step["negative_pivots"] for step in steps_of(tmp_path)] == [None, None]
+    assert [step["negative_pivots"] for step in summary(tmp_path)["steps"]] == [None, None]
 
 
 def test_the_factor_of_petsc_counts_as_well(tmp_path):
     pd.run(column(steps=6), output=tmp_path / "one")
     pd.run(column(steps=6), output=tmp_path / "other", options={"pc_factor_mat_solver_type": "petsc"})
-    one, other = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "other"))
+    one, other = ([step["negative_pivots"] for step in summary(tmp_path / name)["steps"]] for name in ("one", "other"))
     assert one == other
     assert one[0] == 0
     assert one[-1] > 0
@@ -117,7 +112,7 @@ def test_an_unsymmetric_tangent_has_no_pivots_that_count(tmp_path):
     pd.run(case, output=tmp_path / "lu")
     pd.run(case, output=tmp_path / "cholesky", options={"pc_type": "cholesky"})
     for name in ("lu", "cholesky"):
-        assert [step["negative_pivots"] for step in steps_of(tmp_path / name)] == [None]
+        assert [step["negative_pivots"] for step in summary(tmp_path / name)["steps"]] == [None]
 
 
 def stretched(step):
@@ -152,7 +147,7 @@ def test_with_damage_held_a_path_does_not_call_the_secant_stable():
 def test_a_run_ends_where_nothing_tells(tmp_path, unstable):
     with pytest.raises(pd.SolveError, match="nothing tells whether the equilibrium is stable"):
         pd.run(column(load=1.0, steps=2, unstable=unstable), output=tmp_path, options={"pc_type": "gamg"})
-    assert steps_of(tmp_path) == []
+    assert summary(tmp_path)["steps"] == []
 
 
 @pytest.mark.processors
@@ -161,7 +156,7 @@ def test_ranks_count_the_same_pivots(tmp_path):
     case.write_text("from tests.solvers.test_stability import column\n\n\ndef case():\n    return column(steps=6)\n")
     results(case, ranks=2, output=tmp_path / "two")
     pd.run(column(steps=6), output=tmp_path / "one")
-    one, two = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "two"))
+    one, two = ([step["negative_pivots"] for step in summary(tmp_path / name)["steps"]] for name in ("one", "two"))
     assert one == two
     assert 1 in one
 

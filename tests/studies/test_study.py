@@ -26,7 +26,7 @@ from pdpetsc.studies.run_store import Outcome, folder_of, kept
 from pdpetsc.studies.sets import Range, combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
 from tests.command_line.test_tools import ENVIRONMENT, tool
-from tests.commands import ROOT, wait_until
+from tests.commands import ROOT, summary, wait_until
 
 # Parameter sets.
 
@@ -772,7 +772,7 @@ def test_runs_side_by_side_on_ranks_give_what_they_give_one_after_another(tmp_pa
     alone = pd.study(tmp_path / "case.py", sets, tmp_path / "one", options=["-pc_type", "lu"])
     for outcome in alone.outcomes:
         twin = tmp_path / "two" / outcome.folder.name
-        assert json.loads((twin / "summary.json").read_text())["ranks"] == 2
+        assert summary(twin)["ranks"] == 2
         both = [pd.open(folder).history["F"] for folder in (outcome.folder, twin)]
         assert both[1] == pytest.approx(both[0], rel=1e-9, abs=1e-9)
 

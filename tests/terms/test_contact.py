@@ -10,7 +10,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.gradient.weights import MAY_NOT_CONVERGE
 from pdpetsc.running.suited import refuse_contact_without_weights
-from tests.commands import results
+from tests.commands import Stop, results
 
 E, NU = 1000.0, 0.3
 PRESS = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.0, -0.05))
@@ -249,21 +249,12 @@ def test_friction_goes_on_from_a_checkpoint(tmp_path):
     case = block(dataclasses.replace(PRESS, move=(0.05, -0.05)), 0.3, steps=pd.Steps(4))
     whole = pd.run(case, tmp_path / "whole").history
 
-    half = dataclasses.replace(case, steps=pd.Steps(4), history={**case.history, "stop": Stopping()})
-    with pytest.raises(Exception, match="stops here"):
+    half = dataclasses.replace(case, steps=pd.Steps(4), history={**case.history, "stop": Stop(0.6)})
+    with pytest.raises(pd.Interrupted):
         pd.run(half, tmp_path / "half")
     again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
     assert again.history["tool_x"][-1] == whole["tool_x"][-1]
     assert again.history["tool_y"][-1] == whole["tool_y"][-1]
-
-
-class Stopping(pd.Quantity):
-    """Ends a run at half of the load."""
-
-    def evaluate(self, solution):
-        if solution.t > 0.6:
-            raise pd.SolveError("It stops here.")
-        return 0.0
 
 
 def test_a_block_is_dragged_with_the_coefficient_of_friction(tmp_path):

@@ -13,7 +13,7 @@ from pdpetsc.petsc.options import Options
 from pdpetsc.problem.expansion import PrescribedTemperature
 from pdpetsc.terms.heat import ConductedTemperature, Conducting, Heat
 from tests import scenes
-from tests.commands import ROOT, results
+from tests.commands import ROOT, history, results
 from tests.run.test_durable import Stop
 
 EVERYWHERE = pd.region.All()
@@ -329,11 +329,9 @@ def test_cracks_of_a_quenched_plate_are_further_apart_where_they_are_deep(tmp_pa
 def test_a_quenched_plate_breaks_alike_on_two_ranks(tmp_path):
     words = "runs/thermal/quench.py", "dx=0.2", "half=2", "width=5", "steps=5", "time=0.1"
     one, two = (results(*words, ranks=ranks, output=tmp_path / str(ranks)) for ranks in (1, 2))
-    histories = [
-        np.genfromtxt(tmp_path / str(ranks) / "history.csv", delimiter=",", names=True) for ranks in (1, 2)
-    ]  # fmt: skip
-    assert histories[0]["broken"][-1] > 20
-    assert np.array_equal(histories[0]["broken"], histories[1]["broken"])
+    broken = [history(tmp_path / str(ranks))["broken"] for ranks in (1, 2)]
+    assert broken[0][-1] > 20
+    assert np.array_equal(*broken)
     assert abs(one["results"]["cooled_to"] - two["results"]["cooled_to"]) < 1e-7
 
 

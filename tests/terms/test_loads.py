@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import json
 
 import h5py
 import meshio
@@ -11,7 +10,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare import region
-from tests.commands import called, results, script_on
+from tests.commands import called, history, results, script_on, summary
 
 E = 1000.0
 
@@ -43,9 +42,7 @@ def strip(particles, sizes, condition, scheme=None):
 def resultant(case, folder):
     """Return the force that supports exert along x and the resultant of the load that the summary names."""
     pd.run(case, output=folder)
-    summary = json.loads((folder / "summary.json").read_text())
-    history = np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
-    return -history["reaction"][-1], summary["loads"][0]["resultant"][0]
+    return -history(folder)["reaction"][-1], summary(folder)["loads"][0]["resultant"][0]
 
 
 @pytest.mark.parametrize("distribution", ["layer", "consistent"])
@@ -192,10 +189,13 @@ def test_supports_that_cut_families_are_counted(tmp_path):
     found = {}
     for depth in (1.0, 3.0):
         pd.run(held(depth), output=tmp_path)
-        summary = json.loads((tmp_path / "summary.json").read_text())
         with h5py.File(tmp_path / "fields.h5") as file:
             stress = np.asarray(file["step_00001/stress"])[:, 0].reshape(16, 6)
-        found[depth] = summary["held_at_cut_families"], stress[0, 2] / stress[8, 2], np.abs(stress[3:-3] / 10.0 - 1.0)
+        found[depth] = (
+            summary(tmp_path)["held_at_cut_families"],
+            stress[0, 2] / stress[8, 2],
+            np.abs(stress[3:-3] / 10.0 - 1.0),
+        )
     assert found[1.0][0] == 12
     assert found[1.0][1] == pytest.approx(2.0 / 3.0, rel=1e-3)
     assert found[3.0][0] == 0
@@ -243,9 +243,9 @@ def test_a_dead_load_stays_when_bonds_break_near_it(tmp_path):
     broken = {"load": Load(), "broken": pd.BrokenBonds()}
     with contextlib.suppress(pd.SolveError):
         pd.run(dataclasses.replace(case, history=broken), output=tmp_path)
-    history = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
-    assert history["broken"][-1] > 0
-    np.testing.assert_allclose(history["load"], 0.5 * 8.0 * history["t"], rtol=1e-9)
+    h = history(tmp_path)
+    assert h["broken"][-1] > 0
+    np.testing.assert_allclose(h["load"], 0.5 * 8.0 * h["t"], rtol=1e-9)
 
 
 def test_small_displacements_beside_large_forces_are_looked_at(tmp_path):

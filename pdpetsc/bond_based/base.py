@@ -34,9 +34,9 @@ class Neighbourhood:
     ----------
     cloud, families
         Particles and bonds.
-    omega, length : (n_bonds,) float64
-        Influence [-] and reference length [length] of every bond. Influence is zero if the first end is inside the
-        horizon of the second, but not vice versa.
+    omega : (n_bonds,) float64
+        Influence of every bond [-]. It is zero if the first end is inside the horizon of the second, but not vice
+        versa.
     influence : Influence
         The influence function of ``omega``.
     thickness : float
@@ -46,9 +46,13 @@ class Neighbourhood:
     cloud: Cloud
     families: Families
     omega: Float
-    length: Float
     influence: Influence
     thickness: float
+
+    @property
+    def length(self) -> Float:
+        """Return the reference length of every bond (n_bonds,) [length], computed on use."""
+        return self.families.lengths(self.cloud.x)
 
     def moment(self, power: int) -> Float:
         """Return ``sum_j omega |xi|^power V_j`` of every own particle (n_owned,)."""

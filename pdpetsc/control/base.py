@@ -219,6 +219,10 @@ class Control(Product, ABC):
         """
         raise CaseError(_NOT_FOLLOWING)
 
+    def energy(self, u: Float, particles: LocalIndex) -> float:
+        """Return the energy of the families of selected own particles [energy] (not collective)."""
+        return self.force(u, np.zeros_like(u), particles)
+
     def families_at(self, particles: LocalIndex) -> StencilMembers:
         """Return the families of selected own particles (n,), ascending, with the centre first (not collective)."""
         ptr, members = self.stencils

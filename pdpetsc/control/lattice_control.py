@@ -45,20 +45,18 @@ class LatticeControl(Control):
     ) -> None:
         self._lattice, self._irregular, self._scale, self._make = lattice, irregular, scale, listed
         self._all: Control | None = None
-        own = lattice.irregular
+        own, of_bonds = lattice.irregular, irregular.bond_stiffness
         # The rows of a pattern contain the forces of the particle that represents it.
-        stiffness = np.where(
-            np.arange(len(irregular.bond_stiffness)) < own.indptr[own.n], irregular.bond_stiffness, 0.0
-        )
-        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, irregular.K_inverse)
+        alone = np.where(np.arange(len(of_bonds)) < own.indptr[own.n], of_bonds, 0.0)
+        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), alone, irregular.K_inverse)
         K_inverse = irregular.K_inverse[own.n :]
         self._K = inverses(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
         self._stiffness, points = [], []
         for number, steps in enumerate(lattice.steps):
             bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))
             xi = own.cloud.x[own.neighbours[bonds]] - own.cloud.x[own.n + number]
-            self._stiffness.append(irregular.bond_stiffness[bonds])
-            points.append([(steps, irregular.bond_stiffness[bonds, None] * (xi @ K_inverse[number]))])
+            self._stiffness.append(of_bonds[bonds])
+            points.append([(steps, of_bonds[bonds, None] * (xi @ K_inverse[number]))])
         self._weights = weights_of(points, lattice.cloud.dim)
         # Stiffness of the entries of some weights, which controls of other scales share.
         self._of_entries: dict[int, tuple[Weights, Float | None]] = {}

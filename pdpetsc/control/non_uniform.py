@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
+
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex, entries_of
+from pdpetsc.arrays import Float, LocalIndex, WhileUsed, entries_of
 from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic, with_centre_forces
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
@@ -16,6 +19,8 @@ from pdpetsc.gradient.base import (
     SameGradient,
     Springs,
     StencilMembers,
+    flat,
+    shape_tensors,
     whole_families,
     with_centres,
 )
@@ -25,6 +30,7 @@ from pdpetsc.kernels.control import (
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
+from pdpetsc.kernels.gradient import inverses
 from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 
@@ -36,8 +42,9 @@ class NonUniform(Control):
     ----------
     cloud, families
         The bonds.
-    stiffness : (n_bonds,) float64
-        ``s_ij`` [force / length].
+    stiffness : (n_bonds,) float64 or callable
+        ``s_ij`` [force / length], or a function that returns it as a new array. A function is called on use, and again
+        if nothing has kept its array.
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j s_ij xi (x) xi``, which makes H the best fit to the family; zero for H = 0.
     phi : (n_bonds,) float64, optional
@@ -45,22 +52,67 @@ class NonUniform(Control):
     """
 
     def __init__(
-        self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float, phi: Float | None = None
-    ) -> None:
+        self, cloud: Cloud, families: Families, stiffness: Float | Callable[[], Float], K_inverse: Float,
+        phi: Float | None = None,
+    ) -> None:  # fmt: skip
         self._cloud = cloud
         self._families = families
-        self._stiffness = stiffness
+        if callable(stiffness):
+            self._new_stiffness = stiffness
+        else:
+            self._new_stiffness = stiffness.copy
+            self._stiffness = stiffness
+        self._while_used = WhileUsed(self._new_stiffness)
         self._K_inverse = K_inverse
         self._phi = phi
-        self._forces = stiffness if phi is None else stiffness * phi
         # The control with the same H and other stiffnesses of whole families from which this one was made, with their
         # shares.
         self._scaled_from: tuple[NonUniform, Float] | None = None
 
+    @classmethod
+    def proportional(
+        cls, cloud: Cloud, families: Families, omega: Float, factor: Float, K_inverse: Float
+    ) -> NonUniform:
+        """Return the control with ``s_ij = c_i omega V_j``, computed on use.
+
+        Parameters
+        ----------
+        omega : (n_bonds,) float64
+            Influence [-].
+        factor : (n_owned,) float64
+            ``c_i`` [force / (length volume)].
+        K_inverse : (n_owned, dim, dim) float64
+            As for the control.
+        """
+
+        def stiffness() -> Float:
+            found = families.weights(omega, cloud.volume)
+            families.multiply(found, factor)
+            return found
+
+        return cls(cloud, families, stiffness, K_inverse)
+
     @property
     def bond_stiffness(self) -> Float:
         """Return ``s_ij`` (n_bonds,) [force / length]."""
-        return self._stiffness
+        listed: Float | None = self.__dict__.get("_stiffness")
+        return self._while_used() if listed is None else listed
+
+    @cached_property
+    def _stiffness(self) -> Float:
+        """Return ``s_ij``, and keep it for loops over bonds in every evaluation."""
+        return self._while_used()
+
+    @cached_property
+    def _forces(self) -> Float:
+        """Return ``T_ij s_ij`` (n_bonds,) [force / length]."""
+        return self._stiffness if self._phi is None else self._stiffness * self._phi
+
+    @property
+    def _on_use(self) -> tuple[Float, Float]:
+        """Return ``T_ij s_ij`` and ``s_ij`` without keeping them."""
+        s = self.bond_stiffness
+        return s if self._phi is None else self._forces, s
 
     @property
     def K_inverse(self) -> Float:
@@ -70,22 +122,26 @@ class NonUniform(Control):
     @property
     def stencils(self) -> Stencil:
         """Return the families with their centre first."""
-        with_centre = whole_families(self._cloud, self._families, self._stiffness)
+        with_centre = whole_families(self._cloud, self._families, self.bond_stiffness)
         return with_centre.point_ptr, with_centre.members
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``T_ij s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum T s |z|^2``."""
-        kernel, family, energy = non_uniform_force_kernel(self._cloud.dim), self._families, np.empty(len(particles))
-        data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
-        kernel(particles, *data, u, f, energy)
-        return float(energy.sum())
+        return float(self._add_force(self._forces, self._stiffness, u, f, particles).sum())
+
+    def energy(self, u: Float, particles: LocalIndex) -> float:
+        """Return ``1/2 sum T s |z|^2``."""
+        return float(self._add_force(*self._on_use, u, np.zeros_like(u), particles).sum())
 
     def family_energy(self, u: Float) -> Float:
         """Return ``1/2 sum_j T s |z|^2`` of every own particle."""
-        kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
-        energy = np.empty(len(family.everyone))
-        data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
-        kernel(family.everyone, *data, u, np.zeros_like(u), energy)
+        return self._add_force(self._forces, self._stiffness, u, np.zeros_like(u), self._families.everyone)
+
+    def _add_force(self, forces: Float, s: Float, u: Float, f: Float, particles: LocalIndex) -> Float:
+        """Add the forces for ``T s`` and ``s`` (n_bonds,); return the energies of the families (n_particles,)."""
+        kernel, family, energy = non_uniform_force_kernel(self._cloud.dim), self._families, np.empty(len(particles))
+        data = family.indptr, family.neighbours, forces, s, self._K_inverse, self._cloud.x
+        kernel(particles, *data, u, f, energy)
         return energy
 
     def families_at(self, particles: LocalIndex) -> StencilMembers:
@@ -120,7 +176,7 @@ class NonUniform(Control):
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
         family, kernel = self._families, non_uniform_blocks_kernel(self._cloud.dim)
-        kernel(family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks)
+        kernel(family.indptr, family.neighbours, *self._on_use, self._K_inverse, self._cloud.x, blocks)
         return True
 
     def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
@@ -132,7 +188,7 @@ class NonUniform(Control):
             same = original.shared_gradient(operator)
             if isinstance(same, BondGradient):
                 return BondGradient(self._stiffness, same.K * share[:, None, None])
-        springs = Springs(self._families, self._stiffness, self._K_inverse, self._cloud.x, self.force)
+        springs = Springs(self._families, self.bond_stiffness, self._K_inverse, self._cloud.x, self.force)
         return operator.same_gradient(springs)
 
     def scaled(self, share: Float) -> NonUniform:
@@ -152,10 +208,21 @@ class NonUniform(Control):
 
     def damaged(self, phi: Float) -> Control:
         """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds."""
-        stiffness = self._stiffness * phi
-        K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
-        held = self._K_inverse.any(axis=(1, 2))
-        K_inverse = np.where(held[:, None, None], np.linalg.pinv(K, rcond=FLAT, hermitian=True), 0.0)
+        of_intact, lost = self._new_stiffness, np.flatnonzero(phi != 1.0)
+        if not len(lost):
+            return self
+        factor = phi[lost]
+
+        def stiffness() -> Float:
+            found = of_intact()
+            found[lost] *= factor
+            return found
+
+        hurt = np.zeros(self._cloud.n_owned, dtype=bool)
+        hurt[self._families.centres[lost]] = True
+        hurt &= self._K_inverse.any(axis=(1, 2))
+        K_inverse = self._K_inverse.copy()
+        K_inverse[hurt] = _pseudo_inverses(shape_tensors(self._families, stiffness(), self._cloud.x)[hurt])
         return NonUniform(self._cloud, self._families, stiffness, K_inverse)
 
     def faded(self, phi: Float) -> Control:
@@ -169,6 +236,13 @@ class NonUniform(Control):
         weighted = np.einsum("b,bi,bj->bij", self._stiffness, eta, xi)
         H = sum_by(family.centres, weighted, self._cloud.n_owned) @ self._K_inverse
         return np.asarray(self._stiffness[:, None] * (eta - np.einsum("bij,bj->bi", H[family.centres], xi)))
+
+
+def _pseudo_inverses(K: Float) -> Float:
+    """Return the inverses of shape tensors (n, dim, dim), zero in directions without bonds."""
+    found, full = np.empty_like(K), ~flat(K, K.shape[1] * FLAT)
+    found[full], found[~full] = inverses(K[full]), np.linalg.pinv(K[~full], rcond=FLAT, hermitian=True)
+    return found
 
 
 def forces_on_members(families: StencilMembers, s: Float, K_inverse: Float, x: Float, u: Float) -> Float:

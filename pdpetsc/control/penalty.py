@@ -44,8 +44,8 @@ class Penalty(ZeroEnergyControl):
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError if a family is too small or flat."""
-        weight = omega * cloud.volume[families.neighbours]
+        weight = families.weights(omega, cloud.volume)
         K = regular_shape_tensors(cloud, families, weight, "the penalty")
         factor = self.C3 * cloud.volume[: cloud.n_owned]
         K_inverse = inverses(K * factor[:, None, None]) if self.C3 > 0.0 else np.zeros_like(K)
-        return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)
+        return NonUniform.proportional(cloud, families, omega, factor, K_inverse)

@@ -58,9 +58,9 @@ class Silling(ZeroEnergyControl):
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError if a family is too small or flat."""
-        weight = omega * cloud.volume[families.neighbours]
+        weight = families.weights(omega, cloud.volume)
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
-        return _proportional(cloud, families, weight, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
+        return _proportional(cloud, families, omega, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
 
 
 @dataclass(frozen=True)
@@ -142,12 +142,12 @@ class SillingMicromodulus(ZeroEnergyControl):
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Build the control (collective); raise CaseError in 1D or if a family is too small or flat."""
         c = _micromodulus(cloud.dim)
-        weight = omega * cloud.volume[families.neighbours]
+        weight = families.weights(omega, cloud.volume)
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
-        omega_0 = np.bincount(families.centres, weight, minlength=cloud.n_owned)
+        omega_0 = families.sums(weight)
         reach = cloud.local_horizon[: cloud.n_owned]
         modulus = c * (self.unit_length / reach) ** 2 * stiffness.kappa
-        return _proportional(cloud, families, weight, K, self.G * modulus / (reach**2 * omega_0))
+        return _proportional(cloud, families, omega, K, self.G * modulus / (reach**2 * omega_0))
 
 
 def _micromodulus(dim: int) -> float:
@@ -157,18 +157,18 @@ def _micromodulus(dim: int) -> float:
     return MICROMODULUS[dim]
 
 
-def _proportional(cloud: Cloud, families: Families, weight: Float, K: Float, coefficient: Float) -> Control:
+def _proportional(cloud: Cloud, families: Families, omega: Float, K: Float, coefficient: Float) -> Control:
     """Return the control ``T_z = coefficient omega z``.
 
     Parameters
     ----------
-    weight : (n_bonds,) float64
-        ``omega V_j`` [volume].
+    omega : (n_bonds,) float64
+        Influence [-].
     K : (n_owned, dim, dim) float64
-        Shape tensors for these weights.
+        Shape tensors for the weights ``omega V_j``.
     coefficient : (n_owned,) float64
         [force / length^(2 dim + 1), thickness counted as a length]; all zero or all positive.
     """
     factor = coefficient * cloud.volume[: cloud.n_owned]
     K_inverse = inverses(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
-    return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)
+    return NonUniform.proportional(cloud, families, omega, factor, K_inverse)

@@ -45,8 +45,6 @@ class DamageableBonds:
         ``k``; None if no criterion reads it.
     finite : bool
         True if elongations are changes of the current length, False if they are along the reference direction.
-    length : (n_bonds,) float64
-        Reference length [length].
     material_of : (n_local,) int32
         Number of the material of each particle.
     factor : (n_local,) float64
@@ -58,7 +56,6 @@ class DamageableBonds:
     omega: Float
     stiffness: Float | None
     finite: bool
-    length: Float
     material_of: LocalIndex
     factor: Float
 
@@ -72,7 +69,6 @@ class DamageableBonds:
         ``material_of`` and ``factor`` are those of the own particles (n_owned,); by default one material without
         grading.
         """
-        length = families.lengths(cloud.x)
         number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
         if material_of is not None:
             number[: cloud.n_owned] = material_of
@@ -80,7 +76,16 @@ class DamageableBonds:
             scale[: cloud.n_owned] = factor
         cloud.halo.forward(number)
         cloud.halo.forward(scale)
-        return cls(cloud, families, omega, k, finite, length, number.astype(np.int32), scale)
+        return cls(cloud, families, omega, k, finite, number.astype(np.int32), scale)
+
+    @property
+    def length(self) -> Float:
+        """Return the reference length of every bond (n_bonds,) [length], computed on use."""
+        return self.families.lengths(self.cloud.x)
+
+    def lengths_of(self, bonds: GlobalIndex) -> Float:
+        """Return the reference length of selected bonds (n,) [length]."""
+        return self.families.lengths_of(self.cloud.x, bonds)
 
     @property
     def k(self) -> Float:
@@ -365,15 +370,44 @@ class LinearDrivingVariable(LocalDrivingVariable):
 
     def along(self, e: Float, bonds: GlobalIndex, by: Float) -> Float:
         """Return ``by / limit``."""
-        return np.asarray(by / self.limit[bonds])
+        return np.asarray(by / self.limits_of(bonds))
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
         """Return ``1 / (limit count)``, rounded once."""
-        return Gradient(bonds, np.asarray(1.0 / (self.limit[bonds] * count)))
+        return Gradient(bonds, np.asarray(1.0 / (self.limits_of(bonds) * count)))
 
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float]:
         """Return ``1/2 k limit^2``, and 2."""
-        return np.asarray(0.5 * k * self.limit[bonds] ** 2), 2.0
+        return np.asarray(0.5 * k * self.limits_of(bonds) ** 2), 2.0
+
+    def limits_of(self, bonds: GlobalIndex) -> Float:
+        """Return the elongations of failure of selected bonds (n,) [length]."""
+        return np.asarray(self.limit[bonds])
+
+
+class StretchDrivingVariable(LinearDrivingVariable):
+    """Stretch over critical stretch, ``x = s / s_c``: elongations of failure are computed on use.
+
+    Parameters
+    ----------
+    bonds : DamageableBonds
+        The bonds.
+    stretch : (n_bonds,) float64
+        Their critical stretches [-], positive.
+    """
+
+    def __init__(self, bonds: DamageableBonds, stretch: Float) -> None:
+        LocalDrivingVariable.__init__(self, bonds)
+        self._stretch = stretch
+
+    @property
+    def limit(self) -> Float:  # type: ignore[override]
+        """Return the elongations of failure (n_bonds,) [length]."""
+        return np.asarray(self._stretch * self._bonds.length)
+
+    def limits_of(self, bonds: GlobalIndex) -> Float:
+        """Return the elongations of failure of selected bonds (n,) [length]."""
+        return np.asarray(self._stretch[bonds] * self._bonds.lengths_of(bonds))
 
 
 class Criterion(Declared, ABC):

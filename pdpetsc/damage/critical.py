@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage.criterion import Criterion, DamageableBonds, LinearDrivingVariable
+from pdpetsc.damage.criterion import Criterion, DamageableBonds, StretchDrivingVariable
 from pdpetsc.damage.energy import plane_weights
 from pdpetsc.declared import NonNegative, Positive, numbers_from
 from pdpetsc.discrete.communicator import largest, smallest, total
@@ -28,7 +28,7 @@ class CriticalStretch(Criterion):
 
     reads_middle: ClassVar[bool] = True
 
-    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
+    def build(self, bonds: DamageableBonds) -> StretchDrivingVariable:
         """Return ``e / (s_c |xi|)``.
 
         Raises
@@ -36,13 +36,15 @@ class CriticalStretch(Criterion):
         CaseError
             A critical stretch is not positive.
         """
-        middle = bonds.middle() if self.reads_middle else np.empty((len(bonds.length), 0))
-        stretch = self(bonds.length, middle)
+        length = bonds.length
+        middle = bonds.middle() if self.reads_middle else np.empty((len(length), 0))
+        stretch = self(length, middle)
         bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
         if len(bad):
-            length, value = bonds.length[bad[0]], stretch[bad[0]]
-            raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
-        return LinearDrivingVariable(bonds, stretch * bonds.length)
+            raise CaseError(
+                f"The critical stretch of a bond of length {length[bad[0]]:g} is {stretch[bad[0]]:g}, not positive."
+            )
+        return StretchDrivingVariable(bonds, stretch)
 
     @abstractmethod
     def __call__(self, length: Float, middle: Float) -> Float:
@@ -71,6 +73,10 @@ class ConstantCritical(CriticalStretch):
 
     reads_middle: ClassVar[bool] = False
     reads_stiffness: ClassVar[bool] = False
+
+    def build(self, bonds: DamageableBonds) -> StretchDrivingVariable:
+        """Return ``e / (s_c |xi|)``; the value is stored once for all bonds."""
+        return StretchDrivingVariable(bonds, np.broadcast_to(np.float64(self.value), bonds.families.n_bonds))
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return the value for every bond."""
@@ -151,9 +157,9 @@ class CriticalOfBonds(CriticalStretch):
 
     stretch: Any
 
-    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
+    def build(self, bonds: DamageableBonds) -> StretchDrivingVariable:
         """Return ``e / (s_c |xi|)``."""
-        return LinearDrivingVariable(bonds, np.asarray(self.stretch * bonds.length))
+        return StretchDrivingVariable(bonds, self.stretch)
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Raise an error: lengths and positions do not identify the bonds."""

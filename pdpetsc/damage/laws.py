@@ -157,6 +157,8 @@ class BondDamage(Declared, ABC):
 
     def assign(self, bonds: DamageableBonds, mark: Marking) -> LocalIndex:
         """Return the number of the law of each bond (n_bonds,): 0, or -1 for a protected bond (collective)."""
+        if self.protected is None:  # one number for all bonds
+            return np.broadcast_to(np.int32(0), bonds.families.n_bonds)
         of_bond = np.zeros(bonds.families.n_bonds, dtype=np.int32)
         of_bond[bonds_at(self.protected, bonds, mark)] = -1
         return of_bond

@@ -49,8 +49,6 @@ class FailingBonds:
         too [-]: 0 except for a tangent for further loading.
     of : DamageableBonds
         The bonds.
-    length : (n_bonds,) float64
-        Their length [length].
     """
 
     def __init__(self, bonds: DamageableBonds, laws: AssignedLaws, law: BondDamage | DamageOf) -> None:
@@ -58,18 +56,10 @@ class FailingBonds:
         self.laws = laws
         self._onset, self._final = laws.onset(), laws.final()
         self._comm = bonds.cloud.comm
-        self.of, self.length = bonds, bonds.length
+        self.of = bonds
         self.protected: GlobalIndex = np.flatnonzero(laws.of_bond < 0)
-        # Bonds of a particle with its own mirror image, and bonds stored from one end only, count twice in sums over
-        # both ends.
-        cloud, families = bonds.cloud, bonds.families
-        i, j = cloud.gid[families.centres], cloud.gid[families.neighbours]
-        place = cloud.place[families.neighbours]
-        alone = ~reached_back(cloud, families, bonds.length)
-        self._first: Mask = alone | (i <= j)
-        self._twice: Mask = alone | ((i == j) & (cloud.places.opposite(place) == place))
-        self.phi: Float = np.ones(len(self.length))
-        self.kappa: Float = np.zeros(len(self.length))
+        self.phi: Float = np.ones(bonds.families.n_bonds)
+        self.kappa: Float = np.zeros(bonds.families.n_bonds)
         self.frozen = False
         self.slack = 0.0
         self.commit()
@@ -92,7 +82,8 @@ class FailingBonds:
     def revert(self) -> None:
         """Restore the last stored state; intact bonds have no history (not collective)."""
         lost, phi, kappa = self._kept
-        self.phi[:], self.kappa[:] = 1.0, 0.0
+        # New zeros take no memory until they are written.
+        self.phi[:], self.kappa = 1.0, np.zeros(len(self.phi))
         self.phi[lost], self.kappa[lost] = phi, kappa
 
     def following(self, x: Float) -> tuple[Float, GlobalIndex, Float]:
@@ -142,7 +133,10 @@ class FailingBonds:
 
     def soften(self, x: Float) -> float:
         """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
+<<<<<<< HEAD
         self.kappa[:] = self.law.effect.reached(x, self.kappa)
+=======
+>>>>>>> cfb0406 (Bond data of damage and controls are computed on use; freed memory returns to the system)
         if not self.laws.softens:
             return 0.0
         T = self.following(x)[0]
@@ -211,8 +205,8 @@ class FailingBonds:
         if largest(self._comm, float(over.max(initial=0.0))) < least:
             return 0
         if most is not None:
-            past = over >= least
-            ends = np.concatenate([over[past], over[past & self._twice]])
+            past = np.flatnonzero(over >= least)
+            ends = np.concatenate([over[past], over[past[self._twice(past)]]])
             parts = self._comm.allgather(np.sort(ends)[::-1][: 2 * most])
             candidates = np.sort(np.concatenate(parts))[::-1]
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
@@ -223,7 +217,8 @@ class FailingBonds:
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
         """Return keys (n, 3) and states (n, 2), ``phi`` and ``kappa``, of damaged bonds, from the first end only."""
-        mine = np.flatnonzero((self.phi < 1.0) & self._first)
+        mine = self.weakened
+        mine = mine[self._first(mine)]
         return self.of.keys(mine), np.stack([self.phi[mine], self.kappa[mine]], axis=1)
 
     def restore(self, keys: GlobalIndex, states: Float) -> int:
@@ -239,7 +234,7 @@ class FailingBonds:
         found = row[mine]
         here = found >= 0
         self.phi[bonds[here]], self.kappa[bonds[here]] = states[found[here]].T
-        return int(np.count_nonzero(self._first[bonds[here]]))
+        return int(np.count_nonzero(self._first(bonds[here])))
 
     def _matched(self, keys: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
         """Return a number for every key (n, 3), candidate bonds on this rank, and the numbers of these bonds.
@@ -258,7 +253,25 @@ class FailingBonds:
 
     def _pairs(self, chosen: Mask) -> int:
         """Return the number of pairs of chosen bonds (n_bonds,), chosen from both ends (collective)."""
-        return int(total(self._comm, np.count_nonzero(chosen) + np.count_nonzero(chosen & self._twice))) // 2
+        bonds = np.flatnonzero(chosen)
+        return int(total(self._comm, len(bonds) + np.count_nonzero(self._twice(bonds)))) // 2
+
+    def _first(self, bonds: GlobalIndex) -> Mask:
+        """Return which of selected bonds (n,) are stored from their first end, or from one end only."""
+        cloud, families = self.of.cloud, self.of.families
+        i, j = cloud.gid[families.centres[bonds]], cloud.gid[families.neighbours[bonds]]
+        return np.asarray(~reached_back(cloud, families, bonds) | (i <= j))
+
+    def _twice(self, bonds: GlobalIndex) -> Mask:
+        """Return which of selected bonds (n,) count twice in sums over both ends.
+
+        These are bonds of a particle with its own mirror image, and bonds stored from one end only.
+        """
+        cloud, families = self.of.cloud, self.of.families
+        one, other = families.centres[bonds], families.neighbours[bonds]
+        place = cloud.place[other]
+        itself = (cloud.gid[one] == cloud.gid[other]) & (cloud.places.opposite(place) == place)
+        return np.asarray(~reached_back(cloud, families, bonds) | itself)
 
     @property
     def weakened(self) -> GlobalIndex:

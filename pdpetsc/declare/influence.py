@@ -33,8 +33,8 @@ class Constant(Influence):
     """
 
     def __call__(self, s: Float) -> Float:
-        """Return ones."""
-        return np.ones_like(s)
+        """Return ones, stored once."""
+        return np.broadcast_to(np.float64(1.0), np.shape(s))
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def evaluate(influence: Influence, s: Float) -> Float:
     omega = numbers_from("influence", influence, s)
     if omega.shape != s.shape:
         raise CaseError(f"The influence must return one number per bond, {s.shape}, not {omega.shape}.")
-    bad = np.flatnonzero(~(np.isfinite(omega) & (omega >= 0.0)))
-    if len(bad):
+    if not (omega.min() >= 0.0 and omega.max() < np.inf):
+        bad = np.flatnonzero(~(np.isfinite(omega) & (omega >= 0.0)))
         raise CaseError(f"The influence is {omega[bad[0]]:g} at {s[bad[0]]:.6g} horizons; it must not be negative.")
     return omega

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, WhileUsed
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.lattice_stencils import Grid, LatticeStencils, find_grid, find_lattice, listed_families
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import lengths_kernel
-from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
+from pdpetsc.kernels.sparsity import (
+    families_from_pairs,
+    families_with_any,
+    multiply_families,
+    sums_of_families,
+    weights_of_bonds,
+)
 
 
 @dataclass(frozen=True)
@@ -82,13 +88,34 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
     def lengths(self, x: Float) -> Float:
-        """Return the length of every bond (n_bonds,) [length], the same array for the same positions."""
-        known: tuple[Float, Float] | None = self.__dict__.get("_lengths")
+        """Return the length of every bond (n_bonds,) [length], the same array for the same positions while in use."""
+        known: tuple[Float, WhileUsed] | None = self.__dict__.get("_lengths")
         if known is None or known[0] is not x:
-            known = x, np.empty(len(self.neighbours))
-            lengths_kernel(x.shape[1])(self.indptr, self.neighbours, *known)
-            self.__dict__["_lengths"] = known
-        return known[1]
+            known = self.__dict__["_lengths"] = x, WhileUsed(partial(_lengths, self.indptr, self.neighbours, x))
+        return known[1]()
+
+    def lengths_of(self, x: Float, bonds: GlobalIndex) -> Float:
+        """Return the length of selected bonds (n,) [length]."""
+        one, other, square = self.centres[bonds], self.neighbours[bonds], np.zeros(len(bonds))
+        for of_axis in x.T:
+            square += (of_axis[other] - of_axis[one]) ** 2
+        return np.sqrt(square)
+
+    def weights(self, omega: Float, volume: Float) -> Float:
+        """Return ``omega_ij V_j`` of every bond (n_bonds,) [volume] as a new array, for volumes (n_local,)."""
+        found = np.empty(len(self.neighbours))
+        weights_of_bonds(self.neighbours, omega, volume, found)
+        return found
+
+    def sums(self, values: Float | Mask) -> Float:
+        """Return the sums of values of bonds (n_bonds,) over the family of each own particle (n_owned,)."""
+        found = np.empty(len(self.indptr) - 1)
+        sums_of_families(self.indptr, values, found)
+        return found
+
+    def multiply(self, values: Float, factor: Float) -> None:
+        """Multiply values of bonds (n_bonds,) by a factor of the family of each own particle (n_owned,)."""
+        multiply_families(self.indptr, factor, values)
 
     def reach(self, x: Float) -> Float:
         """Compute the length of the longest bond of every own particle (n_owned,), 0 for a particle without bonds."""
@@ -96,6 +123,12 @@ class Families:
         longest = np.zeros(len(self.indptr) - 1)
         np.maximum.at(longest, self.centres, length)
         return longest
+
+
+def _lengths(indptr: GlobalIndex, neighbours: LocalIndex, x: Float) -> Float:
+    found = np.empty(len(neighbours))
+    lengths_kernel(x.shape[1])(indptr, neighbours, x, found)
+    return found
 
 
 def with_pairs(families: Families, kept: Mask, pairs: LocalIndex) -> tuple[Families, Mask]:
@@ -253,11 +286,12 @@ def find_families(
     return families
 
 
-def reached_back(cloud: Cloud, families: Families, length: Float) -> Mask:
-    """Return which bonds of ``length`` (n_bonds,) [length] also exist from their second end (n_bonds,)."""
+def reached_back(cloud: Cloud, families: Families, bonds: GlobalIndex) -> Mask:
+    """Return which of selected bonds (n,) also exist from their second end (n,)."""
     if cloud.mutual or not cloud.varies:
-        return np.ones(len(length), dtype=bool)
-    return np.asarray(length <= cloud.local_horizon[families.neighbours] * (1.0 + HORIZON_TOLERANCE))
+        return np.ones(len(bonds), dtype=bool)
+    reach = cloud.local_horizon[families.neighbours[bonds]]
+    return np.asarray(families.lengths_of(cloud.x, bonds) <= reach * (1.0 + HORIZON_TOLERANCE))
 
 
 def _pairs(cloud: Cloud) -> LocalIndex:

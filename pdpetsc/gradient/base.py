@@ -470,6 +470,14 @@ def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
     return with_centres(centres, families.indptr, families.neighbours, weight)
 
 
+def shape_tensors(families: Families, weight: Float, x: Float) -> Float:
+    """Return ``K_i = sum_j weight_ij xi (x) xi`` (n_owned, dim, dim) for bond weights (n_bonds,)."""
+    everyone, dim = families.everyone, x.shape[1]
+    K = np.empty((len(everyone), dim, dim))
+    shape_kernel(dim)(everyone, families.indptr, families.neighbours, weight, x, K)
+    return K
+
+
 def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name: str) -> Float:
     """Return the shape tensors of the families of the own particles (n_owned, dim, dim) for weights (n_bonds,).
 
@@ -484,7 +492,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     Collective.
     """
     steps = shared_steps(families, weight)
-    K = whole_families(cloud, families, weight).shape_tensors(cloud.x) if steps is None else steps.shape_tensors()
+    K = shape_tensors(families, weight, cloud.x) if steps is None else steps.shape_tensors()
     refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -96,7 +97,8 @@ class BrokenLatticeGradient(ListedOnUse):
             *steps.exceptions, steps.w, SAME, scale,
         )  # fmt: skip
         apart = (scale == 0.0) & springs.K_inverse.any(axis=(1, 2))
-        return RowSprings(scale, scale[:, None, None] * springs.K_inverse, springs, apart if apart.any() else None)
+        K_inverse = scale[:, None, None] * springs.K_inverse
+        return RowSprings(scale, K_inverse, springs.add_forces, apart if apart.any() else None)
 
     def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
         """Return ``G^T (W A) G``; if forces have other weights ``h``, list all weights."""
@@ -128,7 +130,7 @@ class BrokenLatticeGradient(ListedOnUse):
         )
         add_from_cells(grid.cell, on_cells, f)
         if control is not None and control.apart is not None and u is not None:
-            control.listed.add_forces(u, f, particles[control.apart[particles]])
+            control.add_forces(u, f, particles[control.apart[particles]])
 
     def at(self, points: GlobalIndex) -> GradientOperator:
         """Return the operator of selected points (n,), ascending (not collective)."""
@@ -154,15 +156,15 @@ class RowSprings(SameGradient):
         ``c_i`` [force / (length volume)], 0 for families that are ``apart``.
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j w_ij xi (x) xi`` [1 / (volume length^2)].
-    listed : Springs
-        The same control with listed bonds.
+    add_forces : callable
+        Adds its forces in families of selected own particles, bond by bond.
     apart : (n_owned,) bool or None
         Families whose stiffness is not in proportion to ``w``; None if there are none.
     """
 
     scale: Float
     K_inverse: Float
-    listed: Springs
+    add_forces: Callable[[Float, Float, LocalIndex], object]
     apart: Mask | None
 
 

@@ -40,7 +40,7 @@ class Correspondence(Scheme):
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
-        weight = omega * cloud.volume[families.neighbours]
+        weight = families.weights(omega, cloud.volume)
         steps = shared_steps(families, weight)
         if steps is None:
             stencils = whole_families(cloud, families, weight)

@@ -250,7 +250,9 @@ class PointProduct(Product):
         else:  # points of one particle have the moduli of its material
             W = operator.sum_over_points(operator.volume)
             D = W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]]
-        return np.asarray(D if self._share is None else D * self._share()[:, None, None, None, None])
+        if self._share is not None:
+            D *= self._share()[:, None, None, None, None]
+        return np.asarray(D)
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` without assembling it."""

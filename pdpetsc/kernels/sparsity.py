@@ -167,6 +167,31 @@ def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-unt
 
 
 @compiled
+def sums_of_families(indptr, values, sums):  # type: ignore[no-untyped-def]
+    """Write the sums of values of bonds (n_bonds,) over each family."""
+    for i in range(indptr.size - 1):
+        value = 0.0
+        for b in range(indptr[i], indptr[i + 1]):
+            value += values[b]
+        sums[i] = value
+
+
+@compiled
+def weights_of_bonds(neighbours, omega, volume, weight):  # type: ignore[no-untyped-def]
+    """Write ``omega_ij V_j`` of every bond."""
+    for b in range(neighbours.size):
+        weight[b] = omega[b] * volume[neighbours[b]]
+
+
+@compiled
+def multiply_families(indptr, factor, values):  # type: ignore[no-untyped-def]
+    """Multiply values of bonds (n_bonds,) by the factor of their family."""
+    for i in range(indptr.size - 1):
+        for b in range(indptr[i], indptr[i + 1]):
+            values[b] *= factor[i]
+
+
+@compiled
 def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyped-def]
     """Reduce ``nearest`` (n_owned,) to the distance of the nearest member of each family."""
     for i in range(indptr.size - 1):

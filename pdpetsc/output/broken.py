@@ -67,7 +67,7 @@ class BrokenBonds(Observer):
         if int(total(comm, len(new))) == 0:
             return
         self._listed[new] = True
-        rows = np.column_stack([bonds.of.keys(new), bonds.length[new], bonds.of.middle(new)])
+        rows = np.column_stack([bonds.of.keys(new), bonds.of.lengths_of(new), bonds.of.middle(new)])
         parts: list[Float] | None = comm.gather(rows)
         written: list[list[str]] = []
         if parts is not None:

@@ -17,6 +17,8 @@ from pdpetsc.arrays import Float
 
 # Types of SNES that are Newton's method.
 NEWTON = ("newtonls", "newtontr", "newtontrdc", "ksponly")
+# Parameters of mallopt in glibc, its default number of mappings, and the largest threshold that it accepts [bytes].
+M_MMAP_THRESHOLD, M_MMAP_MAX, MAPPINGS, LARGE = -3, -4, 65536, 2**25
 
 
 @lru_cache
@@ -191,3 +193,19 @@ def option_used(name: str) -> bool:
     used = ctypes.c_int(0)
     _check(_library().PetscOptionsUsed(None, name.encode(), ctypes.byref(used)))
     return bool(used.value)
+
+
+def _return_freed_memory() -> None:
+    """Let the C library return freed blocks of at least ``LARGE`` bytes to the system.
+
+    SuperLU_DIST, which some builds of PETSc load, calls ``mallopt(M_MMAP_MAX, 0)`` and ``mallopt(M_TRIM_THRESHOLD, -1)``
+    when it is loaded. A rank then never gets smaller, and large arrays leave gaps. Smaller blocks stay in the process:
+    loops allocate them again and again.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc only
+    if mallopt is not None:
+        mallopt(M_MMAP_MAX, MAPPINGS)
+        mallopt(M_MMAP_THRESHOLD, LARGE)
+
+
+_return_freed_memory()

@@ -375,10 +375,8 @@ class Damage(DamageModel):
         return self._lost(self.bonds.phi)
 
     def _lost(self, left: Float) -> Float:
-        cloud, families = self.body.cloud, self.body.families
-        centres, volume = families.centres, cloud.volume[families.neighbours]
-        whole = np.bincount(centres, volume, cloud.n_owned)
-        kept = np.bincount(centres, left * volume, cloud.n_owned)
+        families, volume = self.body.families, self.body.cloud.volume
+        whole, kept = families.sums(volume[families.neighbours]), families.sums(families.weights(left, volume))
         return np.asarray(1.0 - kept / np.where(whole > 0.0, whole, 1.0))
 
 

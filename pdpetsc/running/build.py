@@ -474,17 +474,17 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
 
 def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:
     """Return the bonds of a body with their influence (collective)."""
-    length = families.lengths(cloud.x)
     with agreed(cloud.comm):
-        s = length / cloud.local_horizon[families.centres]
-        # Bonds within the local horizon of their second end only have no share in the first.
-        reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
-        if reached.all():
-            omega = evaluate(case.influence, s)
+        length = families.lengths(cloud.x)
+        if not cloud.varies:
+            omega = evaluate(case.influence, length / cloud.horizon)
         else:
+            s = length / cloud.local_horizon[families.centres]
+            # Bonds within the local horizon of their second end only have no share in the first.
+            reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
             omega = np.zeros(len(s))
             omega[reached] = evaluate(case.influence, s[reached])
-    return Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+    return Neighbourhood(cloud, families, omega, case.influence, case.particles.thickness)
 
 
 def repeated_share(case: Case) -> float | None:

@@ -105,8 +105,7 @@ class ControlForces(Term):
 
     def energy(self, state: State) -> float:
         """Return the energy of the control."""
-        u_local = state.u_local
-        return self.at(state).force(u_local, np.zeros_like(u_local), self.body.families.everyone)
+        return self.at(state).energy(state.u_local, self.body.families.everyone)
 
     def linearise(self, state: State) -> list[Product]:
         """Return the control, and the derivative of the degradation factor if there is one."""

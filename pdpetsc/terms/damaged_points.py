@@ -81,9 +81,6 @@ class DamagedPoints(MaterialPoints):
         super().__init__(body, weights, materials, material_of, factor)
         self._whole = None if weights is built else self.operator
         self._omega = omega
-        # Sum of ``omega V`` over the family of each particle [volume].
-        weight = omega * body.cloud.volume[body.families.neighbours]
-        self._of_family = np.bincount(body.families.centres, weight, body.cloud.n_owned)
         self._scheme = scheme
         self._material_of = material_of
         self._history = self._undeformed()
@@ -165,6 +162,12 @@ class DamagedPoints(MaterialPoints):
             self._history.give(self.operator, self.materials)
 
     @cached_property
+    def _of_family(self) -> Float:
+        """Return the sum of ``omega V`` over the family of each own particle (n_owned,) [volume]."""
+        families = self.body.families
+        return families.sums(families.weights(self._omega, self.body.cloud.volume))
+
+    @cached_property
     def bond_of_entry(self) -> LocalIndex:
         """Return the bond of every entry of the operator (n_entries,), -1 for centres."""
         return self._bonds_of(self.operator)
@@ -216,9 +219,8 @@ class DamagedPoints(MaterialPoints):
 
     def _share(self, T: Float) -> Float:
         """Compute the mean degradation factor of the unbroken bonds of each own particle (n_owned,) [-]."""
-        centres, n = self.body.families.centres, self.body.cloud.n_owned
-        left = np.maximum(np.bincount(centres, self.damage.bonds.intact, n), 1)
-        return np.asarray(np.bincount(centres, T, n) / left)
+        families = self.body.families
+        return np.asarray(families.sums(T) / np.maximum(families.sums(self.damage.bonds.intact), 1.0))
 
     def _softening(self, state: State) -> list[Product]:
         """Return the derivative of the degradation factors of softening bonds in the tangent.
@@ -273,7 +275,7 @@ class DamagedPoints(MaterialPoints):
         if free is not None:  # use the force-free length of the bond
             xi = np.einsum("eij,ej->ei", free[points[of]], xi)
         pulled = np.linalg.norm(np.einsum("eij,ej->ei", positive[of], xi), axis=1)
-        np.maximum.at(strain, bonds, pulled / bonds_here.length[bonds])
+        np.maximum.at(strain, bonds, pulled / bonds_here.of.lengths_of(bonds))
         return strain
 
     def energy(self, state: State) -> float:
@@ -296,9 +298,9 @@ class DamagedPoints(MaterialPoints):
 
     def _at_points(self, T: Float) -> Float:
         """Compute the mean degradation factor of the bonds of every point (n_points,)."""
-        centres, n = self.body.families.centres, self.body.cloud.n_owned
-        if self.operator.n_points == n:  # over whole families
-            return np.asarray(np.bincount(centres, T, n) / np.maximum(np.bincount(centres, minlength=n), 1))
+        families = self.body.families
+        if self.operator.n_points == self.body.cloud.n_owned:  # over whole families
+            return np.asarray(families.sums(T) / np.maximum(np.diff(families.indptr), 1))
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 
@@ -323,10 +325,11 @@ class DamagedPoints(MaterialPoints):
     def _rebuilt(self) -> GradientOperator:
         """Build the gradient over the unbroken bonds; a particle whose family is too flat gets no volume."""
         cloud, families = self.body.cloud, self.body.families
-        centres, n = families.centres, cloud.n_owned
+        n, intact = cloud.n_owned, self.damage.bonds.intact
         detached = np.zeros(n, dtype=bool)
         while True:
-            omega = np.where(self.damage.bonds.intact | detached[centres], self._omega, 0.0)
+            kept = intact | detached[families.centres] if detached.any() else intact
+            omega = np.where(kept, self._omega, 0.0)
             try:
                 operator = self._scheme.build(cloud, self._families, omega)
                 break

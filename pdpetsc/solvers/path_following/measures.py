@@ -77,7 +77,7 @@ class StretchMeasure(Measure):
         self._problem = problem
         self._damage = problem.bond_damage
         bonds = problem.bond_damage.bonds
-        if not int(total(problem.body.cloud.comm, len(bonds.length) - len(bonds.protected))):
+        if not int(total(problem.body.cloud.comm, len(bonds.phi) - len(bonds.protected))):
             raise CaseError(
                 "Path following by bond stretches needs bonds that can fail, and all of them are protected; protect a "
                 "smaller region, or take an Opening."

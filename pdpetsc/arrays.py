@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import weakref
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,27 +12,6 @@ Complex: TypeAlias = NDArray[np.complex128]
 LocalIndex: TypeAlias = NDArray[np.int32]
 GlobalIndex: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
-
-
-class WhileUsed:
-    """An array that is computed on use, and freed with its last user.
-
-    Parameters
-    ----------
-    make : callable
-        Computes the array. All calls must return equal arrays.
-    """
-
-    def __init__(self, make: Callable[[], Float]) -> None:
-        self._make, self._last = make, weakref.ref(np.empty(0))
-
-    def __call__(self) -> Float:
-        """Return the array, the same one as long as anything else refers to it."""
-        found = self._last()
-        if found is None:
-            found = self._make()
-            self._last = weakref.ref(found)
-        return found
 
 
 def twins(key: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex]:

@@ -198,8 +198,7 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     damage = None
     if law is not None:
         alike = pd.BondBased(materials[0].E, calibration="lattice")
-        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-        bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
+        bonds = Neighbourhood(cloud, families, omega, pd.influence.Constant(), 1.0)
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
         damage = make_damage(law, whole, omega, k, True, mark=marking(cloud))
     if damage is None:
@@ -256,7 +255,7 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     families = find_families(cloud)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     influence = pd.influence.Gaussian()
-    bonds = Neighbourhood(cloud, families, influence(length / horizon), length, influence, 1.0)
+    bonds = Neighbourhood(cloud, families, influence(length / horizon), influence, 1.0)
     around = Body(cloud, families)
     material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None

@@ -183,6 +183,10 @@ def combine(
         Factor of the moduli [-].
     """
     parts = [material.stiffness(bonds) for material in materials]
+    if len(parts) == 1 and parts[0].a is None:
+        k = np.array(parts[0].k)
+        bonds.families.multiply(k, factor)
+        return BondStiffness(k)
     centres = bonds.families.centres
     k = np.zeros(len(centres))
     a, B = np.zeros(len(centres)), np.zeros(bonds.cloud.n_owned)

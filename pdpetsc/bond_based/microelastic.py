@@ -18,6 +18,8 @@ from pdpetsc.material.linear_elastic import LinearElastic
 LEAST = 1e-2
 # The stiffness of the mean family along an axis is zero if it is below this share of its largest stiffness.
 NO_STIFFNESS = 1e-9
+# Bonds whose directions are in memory at once.
+BLOCK = 2**18
 # Tolerance of the declared Poisson's ratio [-].
 SAME_RATIO = 1e-3
 
@@ -110,9 +112,13 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     cloud, families = bonds.cloud, bonds.families
     size = bonds.relative_size(1)
     weight = 0.5 * bonds.omega * bonds.length * (bonds.share_inside / size)[families.centres]
-    n = families.bonds(cloud.x) / bonds.length[:, None]
-    square = (n[:, :, None] * n[:, None, :]).reshape(len(n), -1)
-    fourth = (square * (weight * cloud.volume[families.neighbours])[:, None]).T @ square
+    fourth = np.zeros((cloud.dim**2, cloud.dim**2))
+    for begin in range(0, len(weight), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        xi = cloud.x[families.neighbours[part]] - cloud.x[families.centres[part]]
+        n = xi / np.linalg.norm(xi, axis=1)[:, None]
+        square = (n[:, :, None] * n[:, None, :]).reshape(len(n), -1)
+        fourth += (square * (weight[part] * cloud.volume[families.neighbours[part]])[:, None]).T @ square
     C = total(cloud.comm, fourth.reshape((cloud.dim,) * 4))
     stiff = np.einsum("aaaa->a", C)
     # A single row of particles has a stiffness along the row only.

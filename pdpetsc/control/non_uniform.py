@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex, WhileUsed, entries_of
+from pdpetsc.arrays import Float, LocalIndex, entries_of
 from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic, with_centre_forces
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
@@ -43,8 +43,8 @@ class NonUniform(Control):
     cloud, families
         The bonds.
     stiffness : (n_bonds,) float64 or callable
-        ``s_ij`` [force / length], or a function that returns it as a new array. A function is called on use, and again
-        if nothing has kept its array.
+        ``s_ij`` [force / length], or a function that returns it as a new array on every call. Loops over bonds in every
+        evaluation keep the array.
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j s_ij xi (x) xi``, which makes H the best fit to the family; zero for H = 0.
     phi : (n_bonds,) float64, optional
@@ -62,7 +62,6 @@ class NonUniform(Control):
         else:
             self._new_stiffness = stiffness.copy
             self._stiffness = stiffness
-        self._while_used = WhileUsed(self._new_stiffness)
         self._K_inverse = K_inverse
         self._phi = phi
         # The control with the same H and other stiffnesses of whole families from which this one was made, with their
@@ -94,14 +93,14 @@ class NonUniform(Control):
 
     @property
     def bond_stiffness(self) -> Float:
-        """Return ``s_ij`` (n_bonds,) [force / length]."""
+        """Return ``s_ij`` (n_bonds,) [force / length], computed unless it is kept."""
         listed: Float | None = self.__dict__.get("_stiffness")
-        return self._while_used() if listed is None else listed
+        return self._new_stiffness() if listed is None else listed
 
     @cached_property
     def _stiffness(self) -> Float:
         """Return ``s_ij``, and keep it for loops over bonds in every evaluation."""
-        return self._while_used()
+        return self._new_stiffness()
 
     @cached_property
     def _forces(self) -> Float:
@@ -189,7 +188,10 @@ class NonUniform(Control):
             if isinstance(same, BondGradient):
                 return BondGradient(self._stiffness, same.K * share[:, None, None])
         springs = Springs(self._families, self.bond_stiffness, self._K_inverse, self._cloud.x, self.force)
-        return operator.same_gradient(springs)
+        found = operator.same_gradient(springs)
+        if isinstance(found, BondGradient):  # which keeps the array
+            self._stiffness = found.stiffness
+        return found
 
     def scaled(self, share: Float) -> NonUniform:
         """Return the control with ``s_ij`` times the share of ``i``; H is unchanged."""

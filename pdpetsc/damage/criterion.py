@@ -100,7 +100,7 @@ class DamageableBonds:
     @cached_property
     def opposite(self) -> OppositeBonds:
         """Return the location of the opposite direction of every bond (collective the first time)."""
-        return OppositeBonds(self.cloud, self.families, self.keys())
+        return OppositeBonds(self.cloud, self.families, self.keys)
 
     def keys(self, bonds: GlobalIndex | Mask | slice = EVERY) -> GlobalIndex:
         """Return the keys of selected bonds (n, 3), equal from both ends of a bond and on all ranks.

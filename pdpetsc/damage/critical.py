@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -216,24 +217,28 @@ class FractureEnergy(CriticalStretch):
         ends, weighted with its stiffness from each: each end contributes its part of the energy.
         """
         cloud, families = bonds.cloud, bonds.families
-        i, j = families.centres, families.neighbours
-        weight = plane_weights(bonds) / cloud.local_horizon[i]
-        unit = (
-            bonds.omega * bonds.length * cloud.volume[i] * cloud.volume[j] / cloud.local_horizon[i] ** (cloud.dim + 1)
-        )
-        energy = 0.5 * toughness(2.0) * bonds.k * bonds.length**2
-        material = _moduli(bonds, weight, energy, unit * bonds.factor[i])[bonds.material_of] * bonds.factor
+        reach = cloud.local_horizon[: cloud.n_owned]
+        weight = plane_weights(bonds)
+        families.multiply(weight, 1.0 / reach)
+        unit = families.weights(bonds.omega, cloud.volume)
+        unit *= bonds.length
+        families.multiply(unit, cloud.volume[: cloud.n_owned] / reach ** (cloud.dim + 1))
+        energy = bonds.length
+        energy *= energy
+        energy *= bonds.k
+        energy *= 0.5 * toughness(2.0)
         G = float(total(cloud.comm, weight @ unit))
+        families.multiply(unit, bonds.factor[: cloud.n_owned])
+        material = _moduli(bonds, weight, energy, unit)[bonds.material_of] * bonds.factor
         square = self.Gc / (self.share or 1.0) / (G * material * cloud.local_horizon)
+        comm = cloud.comm
+        most = largest(comm, float(square.max(initial=0.0)))
+        if smallest(comm, float(square.min(initial=np.inf))) == most:  # one number for all bonds
+            return ConstantCritical(math.sqrt(most))
         both = bonds.k + bonds.opposite.of(bonds.k)
         ours = np.divide(bonds.k, both, out=np.full(len(both), 0.5), where=both > 0.0)
-        # One number for all bonds.
-        stretch = np.sqrt(square[j] + ours * (square[i] - square[j]))
-        comm = bonds.cloud.comm
-        least, most = (
-            smallest(comm, float(stretch.min(initial=np.inf))), largest(comm, float(stretch.max(initial=0.0)))
-        )  # fmt: skip
-        return ConstantCritical(most) if least == most else CriticalOfBonds(stretch)
+        i, j = families.centres, families.neighbours
+        return CriticalOfBonds(np.sqrt(square[j] + ours * (square[i] - square[j])))
 
     def at_strength(self, bonds: DamageableBonds, strength: float) -> tuple[ConstantCritical, float]:
         """Compute critical stretch and ratio of linear softening from a strength (collective).
@@ -273,8 +278,12 @@ def _moduli(bonds: DamageableBonds, weight: Float, energy: Float, unit: Float) -
     It is that of planes through inner particles, or of all bonds if a material has no inner particle.
     """
     count = 1 + int(largest(bonds.cloud.comm, float(bonds.material_of.max(initial=0))))
-    number = bonds.material_of[bonds.families.centres]
-    sums = [np.bincount(number, values, count) for values in (weight * energy, weight * unit, energy, unit)]
+    number = bonds.material_of[: bonds.cloud.n_owned]
+
+    def by_material(of_bonds: Float) -> Float:
+        return np.asarray(np.bincount(number, bonds.families.sums(of_bonds), count))
+
+    sums = [by_material(weight * energy), by_material(weight * unit), by_material(energy), by_material(unit)]
     in_planes, of_unit, of_all, of_all_unit = total(bonds.cloud.comm, np.stack(sums))
     chosen, over = np.where(of_unit > 0.0, (in_planes, of_unit), (of_all, of_all_unit))
     return np.divide(chosen, over, out=np.ones(count), where=over > 0.0)

@@ -44,8 +44,14 @@ def plane_weights(bonds: DamageableBonds, power: int = 1) -> Float:
         )
     here = inside.along[:, inside.axes]
     volume = total(cloud.comm, cloud.volume[:n] @ here)
-    distance = np.abs(families.bonds(cloud.x)[:, inside.axes])
-    return np.asarray((here[families.centres] * distance**power / volume).mean(axis=1))
+    found = np.zeros(families.n_bonds)
+    for number, of_axis in enumerate(cloud.x.T[inside.axes]):
+        distance = np.abs(of_axis[families.neighbours] - of_axis[families.centres])
+        distance **= power
+        families.multiply(distance, here[:, number] / volume[number])
+        found += distance
+    found /= len(inside.axes)
+    return found
 
 
 class _EitherWay(LocalDrivingVariable):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, WhileUsed
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
@@ -88,11 +88,10 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
     def lengths(self, x: Float) -> Float:
-        """Return the length of every bond (n_bonds,) [length], the same array for the same positions while in use."""
-        known: tuple[Float, WhileUsed] | None = self.__dict__.get("_lengths")
-        if known is None or known[0] is not x:
-            known = self.__dict__["_lengths"] = x, WhileUsed(partial(_lengths, self.indptr, self.neighbours, x))
-        return known[1]()
+        """Return the length of every bond (n_bonds,) [length] as a new array."""
+        found = np.empty(len(self.neighbours))
+        lengths_kernel(x.shape[1])(self.indptr, self.neighbours, x, found)
+        return found
 
     def lengths_of(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return the length of selected bonds (n,) [length]."""
@@ -123,12 +122,6 @@ class Families:
         longest = np.zeros(len(self.indptr) - 1)
         np.maximum.at(longest, self.centres, length)
         return longest
-
-
-def _lengths(indptr: GlobalIndex, neighbours: LocalIndex, x: Float) -> Float:
-    found = np.empty(len(neighbours))
-    lengths_kernel(x.shape[1])(indptr, neighbours, x, found)
-    return found
 
 
 def with_pairs(families: Families, kept: Mask, pairs: LocalIndex) -> tuple[Families, Mask]:

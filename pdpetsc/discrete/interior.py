@@ -10,7 +10,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.kernels.interior import family_moments, lacks_members, largest_of_members, marked_within
 
 # Approximate distance of surface particles from the surface [spacings].
 BESIDE = 0.5
@@ -86,30 +86,25 @@ def interior(cloud: Cloud, families: Families) -> Interior:
 
 
 class _Surface:
-    """Store families for the search of the surface."""
+    """Store moments of families for the search of the surface."""
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
-        xi = families.bonds(cloud.x)
-        length = np.linalg.norm(xi, axis=1)
-        members = length <= cloud.local_horizon[families.centres] * (1.0 + 2.0 * HORIZON_TOLERANCE)
-        self.cloud, self.xi, self.length = cloud, xi[members], length[members]
-        self.centres, self.neighbours = families.centres[members], families.neighbours[members]
         n, dim = cloud.n_owned, cloud.dim
+        self.cloud = cloud
+        self.bonds = families.indptr, families.neighbours, cloud.x
+        self.reach = cloud.local_horizon[:n] * (1.0 + 2.0 * HORIZON_TOLERANCE)
+        self.first, self.second, count = np.empty((n, dim)), np.empty((n, dim, dim)), np.zeros(cloud.n_local)
+        family_moments(*self.bonds, cloud.volume, self.reach, count[:n], self.first, self.second)
         # Particles of the largest family nearby have equal parts of the ball.
-        count = np.zeros(cloud.n_local)
-        count[:n] = 1.0 + np.bincount(self.centres, minlength=n)
+        count[:n] += 1.0
         cloud.halo.forward(count)
         most = count[:n].copy()
-        np.maximum.at(most, self.centres, count[self.neighbours])
+        largest_of_members(*self.bonds, self.reach, count, most)
         self.beside = BESIDE * cloud.local_horizon[:n] * (UNIT_BALL[dim] / most) ** (1.0 / dim)
-        self.moments = cloud.volume[self.neighbours, None] * self.xi
-        self.second = np.empty((n, dim, dim))
-        for a, b in np.ndindex(dim, dim):  # one component at a time: there are many bonds
-            self.second[:, a, b] = np.bincount(self.centres, self.moments[:, a] * self.xi[:, b], n)
 
     def lacks_a_side(self) -> Mask:
         """Return which families lie on one side of their particle (n_owned,)."""
-        first = sum_by(self.centres, self.moments, self.cloud.n_owned)
+        first = self.first
         size = np.linalg.norm(first, axis=1, keepdims=True)
         outward = np.divide(-first, size, out=np.zeros_like(first), where=size > 0.0)
         flattest = np.linalg.eigh(self.second)[1][:, :, 0]
@@ -117,20 +112,20 @@ class _Surface:
 
     def lacks_along(self, unit: Float) -> Mask:
         """Return which families lie on one side of their particle along a direction (n_owned,)."""
-        along = np.broadcast_to(unit, (self.cloud.n_owned, self.cloud.dim))
+        along = np.tile(unit, (self.cloud.n_owned, 1))
         return np.asarray(self._lacks(along) | self._lacks(-along))
 
     def _lacks(self, direction: Float) -> Mask:
         """Return which families have no member along a direction of each (n_owned, dim)."""
-        far = np.zeros(self.cloud.n_owned)
-        np.maximum.at(far, self.centres, (self.xi * direction[self.centres]).sum(axis=1))
-        return np.asarray(far < self.beside)
+        found = np.empty(self.cloud.n_owned, dtype=bool)
+        lacks_members(*self.bonds, self.reach, direction, self.beside, found)
+        return found
 
     def beyond(self, surface: Mask) -> Mask:
         """Return which own particles are further than a horizon from the surface at marked particles (collective)."""
         cloud, n = self.cloud, self.cloud.n_owned
-        marked = np.zeros(cloud.n_local)
+        marked, near = np.zeros(cloud.n_local), np.empty(n, dtype=bool)
         marked[:n] = surface
         cloud.halo.forward(marked)
-        near = (marked[self.neighbours] > 0.0) & (self.length <= (cloud.local_horizon[:n] - self.beside)[self.centres])
-        return np.asarray(~surface & (np.bincount(self.centres[near], minlength=n) == 0))
+        marked_within(*self.bonds, np.minimum(self.reach, cloud.local_horizon[:n] - self.beside), marked, near)
+        return np.asarray(~(surface | near))

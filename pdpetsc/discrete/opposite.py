@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, twins
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import exchange, owners
 from pdpetsc.discrete.families import Families
+from pdpetsc.kernels.sparsity import opposite_bonds
 
 
 class OppositeBonds:
@@ -17,26 +20,27 @@ class OppositeBonds:
     ----------
     cloud, families
         Particles and bonds.
-    keys : (n_bonds, 3) int64
-        Keys, equal for both directions of a bond and different for all other bonds.
+    keys : callable
+        Returns the keys of selected bonds (n, 3), equal for both directions of a bond and different for all others.
 
     Notes
     -----
     Construction and ``of`` are collective.
     """
 
-    def __init__(self, cloud: Cloud, families: Families, keys: GlobalIndex) -> None:
-        comm = cloud.comm
-        self._comm, self._n = comm, len(keys)
-        owner, _ = owners(comm, cloud.first, cloud.row[families.neighbours])
-        away = np.flatnonzero(owner != comm.rank)
-        here = np.flatnonzero(owner == comm.rank)
+    def __init__(self, cloud: Cloud, families: Families, keys: Callable[[GlobalIndex], GlobalIndex]) -> None:
+        comm, n = cloud.comm, families.n_bonds
+        self._comm = comm
         # A bond to the own mirror image has only one direction, which is its own opposite.
-        self._partner = np.arange(self._n)
-        one, other = (here[rows] for rows in twins(keys[here][:, ::-1]))
+        self._partner = np.arange(n, dtype=np.int32 if n <= np.iinfo(np.int32).max else np.int64)
+        opposite_bonds(families.indptr, families.neighbours, cloud.order, self._partner)
+        rest = np.flatnonzero(self._partner == np.arange(n))  # to images, to other ranks, and from one end only
+        owner, _ = owners(comm, cloud.first, cloud.row[families.neighbours[rest]])
+        away, here = rest[owner != comm.rank], rest[owner == comm.rank]
+        one, other = (here[rows] for rows in twins(keys(here)[:, ::-1]))
         self._partner[one], self._partner[other] = other, one
-        (their_keys, theirs), counts = exchange(comm, owner[away], [keys[away], away])
-        both, number = np.unique(np.concatenate([keys[away], their_keys]), axis=0, return_inverse=True)
+        (their_keys, theirs), counts = exchange(comm, owner[owner != comm.rank], [keys(away), away])
+        both, number = np.unique(np.concatenate([keys(away), their_keys]), axis=0, return_inverse=True)
         number = number.reshape(-1)
         mine = np.full(len(both), -1, dtype=np.int64)
         mine[number[: len(away)]] = away
@@ -46,11 +50,8 @@ class OppositeBonds:
         self._bond = bond[found]
         self._rank = np.repeat(np.arange(comm.size), counts)[found]
         self._there = theirs[found]
-        sign = np.ones((self._n, cloud.dim))
-        if len(cloud.sign):
-            ghost = families.neighbours >= cloud.n_owned
-            sign[ghost] = cloud.sign[families.neighbours[ghost] - cloud.n_owned]
-        self._sign = sign
+        mirrored = np.flatnonzero(families.neighbours >= cloud.n_owned) if len(cloud.sign) else np.empty(0, np.int64)
+        self._mirrored, self._sign = mirrored, cloud.sign[families.neighbours[mirrored] - cloud.n_owned]
 
     def of(self, values: Float) -> Float:
         """Return the values of the opposite direction of every bond (n_bonds, ...), for ``values`` (n_bonds, ...).
@@ -64,4 +65,6 @@ class OppositeBonds:
 
     def of_vectors(self, values: Float) -> Float:
         """Return ``of`` vectors (n_bonds, dim), mirrored if the other end is behind a mirror plane."""
-        return np.asarray(self._sign * self.of(values))
+        found = self.of(values)
+        found[self._mirrored] *= self._sign
+        return found

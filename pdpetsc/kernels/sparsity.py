@@ -167,6 +167,26 @@ def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-unt
 
 
 @compiled
+def opposite_bonds(indptr, neighbours, order, opposite):  # type: ignore[no-untyped-def]
+    """Write the opposite direction of bonds of own particles (n_bonds,) that families sorted by ``order`` contain."""
+    n_owned = indptr.size - 1
+    for i in range(n_owned):
+        for b in range(indptr[i], indptr[i + 1]):
+            j = neighbours[b]
+            if i < j < n_owned:
+                low, high = indptr[j], indptr[j + 1]
+                while low < high:
+                    middle = (low + high) // 2
+                    if order[neighbours[middle]] < order[i]:
+                        low = middle + 1
+                    else:
+                        high = middle
+                if low < indptr[j + 1] and neighbours[low] == i:
+                    opposite[b] = low
+                    opposite[low] = b
+
+
+@compiled
 def sums_of_families(indptr, values, sums):  # type: ignore[no-untyped-def]
     """Write the sums of values of bonds (n_bonds,) over each family."""
     for i in range(indptr.size - 1):

@@ -198,8 +198,8 @@ def option_used(name: str) -> bool:
 def _return_freed_memory() -> None:
     """Let the C library return freed blocks of at least ``LARGE`` bytes to the system.
 
-    SuperLU_DIST, which some builds of PETSc load, calls ``mallopt(M_MMAP_MAX, 0)`` and ``mallopt(M_TRIM_THRESHOLD, -1)``
-    when it is loaded. A rank then never gets smaller, and large arrays leave gaps. Smaller blocks stay in the process:
+    SuperLU_DIST, which PETSc may load, calls ``mallopt(M_MMAP_MAX, 0)`` and ``mallopt(M_TRIM_THRESHOLD, -1)`` at once.
+    Memory then never returns to the system, and large arrays leave gaps. Smaller blocks stay in the process, because
     loops allocate them again and again.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc only

@@ -97,7 +97,7 @@ def halves(horizon, dx, sides=SIDES):
     cloud = distribute(world(), x, np.full(len(x), dx**2), {}, horizon * dx, cell)
     families, one = find_families(cloud), np.zeros(cloud.n_owned, dtype=np.int32)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    bonds = Neighbourhood(cloud, families, np.ones(len(length)), length, pd.influence.Constant(), 1.0)
+    bonds = Neighbourhood(cloud, families, np.ones(len(length)), pd.influence.Constant(), 1.0)
     return Body(cloud, families), bonds, one
 
 

@@ -189,7 +189,7 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
     cloud = distribute(world(), x, np.full(len(x), dx**dim), {}, horizon * dx, cell)
     families = find_families(cloud)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    bonds = Neighbourhood(cloud, families, np.ones(len(length)), length, pd.influence.Constant(), 1.0)
+    bonds = Neighbourhood(cloud, families, np.ones(len(length)), pd.influence.Constant(), 1.0)
     around = Body(cloud, families)
     material_term = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
     damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, material_term.k, False)

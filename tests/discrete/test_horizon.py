@@ -176,7 +176,7 @@ def graded_bonds(dim, rng, material, damage=None):
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     omega = (length <= cloud.local_horizon[families.centres]).astype(float)
     around = Body(cloud, families)
-    bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
+    bonds = Neighbourhood(cloud, families, omega, pd.influence.Constant(), 1.0)
     material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
@@ -261,7 +261,7 @@ def test_micromoduli_are_those_of_each_horizon(calibration):
     families = find_families(cloud)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     omega = (length <= cloud.local_horizon[families.centres]).astype(float)
-    bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
+    bonds = Neighbourhood(cloud, families, omega, pd.influence.Constant(), 1.0)
     material = pd.BondBased(E=10.0, calibration=calibration)
     material_term = BondForces(Body(cloud, families), bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     e = 1e-3 * families.bonds(cloud.x)[:, 0] ** 2 / length
@@ -640,7 +640,7 @@ def test_breaking_all_bonds_across_a_plane_takes_the_fracture_energy_at_any_hori
     body = Body(cloud, find_families(cloud))
     length = np.linalg.norm(body.families.bonds(cloud.x), axis=1)
     omega = (length <= cloud.local_horizon[body.families.centres]).astype(float)
-    bonds = Neighbourhood(cloud, body.families, omega, length, pd.influence.Constant(), 1.0)
+    bonds = Neighbourhood(cloud, body.families, omega, pd.influence.Constant(), 1.0)
     k = case.material.stiffness(bonds).k
     damage = make_damage(case.damage, body, omega, k, False)
     limit = damage.driving_variable.limit

@@ -65,6 +65,11 @@ class FailingBonds:
         self.commit()
 
     @property
+    def length(self) -> Float:
+        """Return the reference length of every bond (n_bonds,) [length], computed on use."""
+        return self.of.length
+
+    @property
     def intact(self) -> Mask:
         """Return a mask of unbroken bonds (n_bonds,)."""
         return np.asarray(self.phi > 0.0)

@@ -17,7 +17,7 @@ from pdpetsc.discrete.places import Places
 from pdpetsc.errors import CaseError
 
 # Minimum memory of a particle until it is assigned to a rank, and of a bond until families are found [bytes].
-PER_PARTICLE, PER_BOND = 140.0, 40.0
+PER_PARTICLE, PER_BOND = 140.0, 24.0
 # Minimum memory of an image until ghosts are found [bytes].
 PER_IMAGE = 200.0
 # Sample size for counting families.

@@ -38,6 +38,10 @@ class Correspondence(Scheme):
 
     of_family: ClassVar[bool] = True
 
+    def memory(self, dim: int, family: float) -> float:
+        """Return the memory of the weights of a bond on a lattice, which lists no gradients [bytes]."""
+        return 16.0
+
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Build the gradient operator (collective); raise CaseError if a family is too small or flat."""
         weight = families.weights(omega, cloud.volume)

@@ -475,11 +475,10 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
 def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:
     """Return the bonds of a body with their influence (collective)."""
     with agreed(cloud.comm):
-        length = families.lengths(cloud.x)
         if not cloud.varies:
-            omega = evaluate(case.influence, length / cloud.horizon)
+            omega = evaluate(case.influence, families.lengths(cloud.x) / cloud.horizon)
         else:
-            s = length / cloud.local_horizon[families.centres]
+            s = families.lengths(cloud.x) / cloud.local_horizon[families.centres]
             # Bonds within the local horizon of their second end only have no share in the first.
             reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
             omega = np.zeros(len(s))

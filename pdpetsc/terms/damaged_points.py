@@ -325,11 +325,11 @@ class DamagedPoints(MaterialPoints):
     def _rebuilt(self) -> GradientOperator:
         """Build the gradient over the unbroken bonds; a particle whose family is too flat gets no volume."""
         cloud, families = self.body.cloud, self.body.families
-        n, intact = cloud.n_owned, self.damage.bonds.intact
+        n, broken = cloud.n_owned, np.flatnonzero(~self.damage.bonds.intact)
         detached = np.zeros(n, dtype=bool)
         while True:
-            kept = intact | detached[families.centres] if detached.any() else intact
-            omega = np.where(kept, self._omega, 0.0)
+            omega = np.array(self._omega)
+            omega[broken[~detached[families.centres[broken]]]] = 0.0
             try:
                 operator = self._scheme.build(cloud, self._families, omega)
                 break

@@ -198,7 +198,7 @@ def test_families_at_mirror_planes_and_in_periodic_cells_are_whole():
         },
     }.items():
         damage = body(x, volume, 3.015, **changes).damage
-        stretch[name] = damage.limit / damage.damageable.length
+        stretch[name] = damage.limit / damage.bonds.length
     for name, values in stretch.items():
         np.testing.assert_allclose(values, stretch["whole"][0], rtol=1e-12, err_msg=name)
 
@@ -211,11 +211,11 @@ def test_a_layer_thinner_than_a_horizon_has_the_stretch_of_its_own_stiffness():
         x, volume, 3.015,
         material=[(~coating, pd.BondBased(E, plane="stress")), (coating, pd.BondBased(4.0 * E, plane="stress"))],
     )  # fmt: skip
-    s = problem.damage.limit / problem.damage.damageable.length
+    s = problem.damage.limit / problem.damage.bonds.length
     one, other, _ = broken(problem)
     coated = (one[:, 1] > 18.0).astype(int) + (other[:, 1] > 18.0)
     alone = body(x, volume, 3.015, calibration="continuum")
-    stretch = (alone.damage.limit / alone.damage.damageable.length)[0]
+    stretch = (alone.damage.limit / alone.damage.bonds.length)[0]
     for count, ratio in ((0, 1.0), (1, 2.5), (2, 4.0)):
         np.testing.assert_allclose(s[coated == count], stretch / np.sqrt(ratio), rtol=1e-10)
 

@@ -101,14 +101,14 @@ def test_a_fracture_energy_of_several_materials_and_of_a_graded_one_is_that_of_e
     alone = {
         E: pd.prepare(bar(pd.Brittle(pd.FractureEnergy(Gc)), pd.BondBased(E=E))).problem.damage for E in (100.0, 300.0)
     }
-    stretch = {E: (one.limit / one.damageable.length).max() for E, one in alone.items()}
+    stretch = {E: (one.limit / one.bonds.length).max() for E, one in alone.items()}
     assert stretch[100.0] / stretch[300.0] == pytest.approx(np.sqrt(3.0), rel=1e-9)
     graded = pd.Graded(pd.BondBased(E=100.0), lambda x: np.where(x[:, 0] < 6.0, 1.0, 3.0))
     for material in (None, graded):
         damage = pd.prepare(bar(pd.Brittle(pd.FractureEnergy(Gc)), material)).problem.damage
         families, x = damage.body.families, damage.body.cloud.x
         halves = (x[families.centres, 0] < 6.0).astype(int) + (x[families.neighbours, 0] < 6.0)
-        s = damage.limit / damage.damageable.length
+        s = damage.limit / damage.bonds.length
         assert np.allclose(s[halves == 2], stretch[100.0], rtol=1e-9)
         assert np.allclose(s[halves == 0], stretch[300.0], rtol=1e-9)
         assert np.allclose(s[halves == 1], stretch[100.0] / np.sqrt(2.0), rtol=1e-9)

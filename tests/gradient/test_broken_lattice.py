@@ -1,6 +1,7 @@
 """Lattices with broken bonds: shared weights of steps give what listed weights give."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from pdpetsc.declare import region
 from pdpetsc.discrete.communicator import world
 from pdpetsc.gradient.base import ControlledGradient, Moduli
 from pdpetsc.gradient.broken_lattice import BrokenLatticeGradient, RowSprings
-from pdpetsc.running.build import make_cloud, make_families
+from pdpetsc.running.build import make_cloud, make_families, make_problem
 
 
 def boxes(size, spacing):
@@ -138,3 +139,59 @@ def test_few_rows_and_unequal_volumes_list_their_weights():
         assert families.grid is not None
         built = pd.Correspondence().build(cloud, families, np.ones(families.n_bonds))
         assert not isinstance(built, BrokenLatticeGradient)
+
+
+def test_a_control_of_damaged_bonds_has_the_stiffness_that_is_left():
+    """Bonds of one particle are lost, of another all but those along x, and of others some of their stiffness."""
+    case = pd.Case(
+        material=pd.LinearElastic(E=1.0, nu=0.3), damage=pd.Brittle(pd.ConstantCritical(1.0)),
+        conditions=[pd.Displacement(region.All(), x=0.0)], **SCENES["plane"],
+    )  # fmt: skip
+    cloud = make_cloud(world(), case)
+    families = make_families(case, cloud)
+    rng, n = np.random.default_rng(5), cloud.n_owned
+    control, xi = silling(cloud, families, rng.uniform(1.0, 2.0, n)), families.bonds(cloud.x)
+    phi = np.where(rng.random(families.n_bonds) < 0.1, rng.uniform(0.0, 1.0, families.n_bonds), 1.0)
+    lone, flat = (slice(*families.indptr[i : i + 2]) for i in (150, 200))
+    phi[lone], phi[flat] = 0.0, np.abs(xi[flat, 1]) < 1e-9
+    s = control.bond_stiffness * phi
+    damaged = control.damaged(phi)
+    assert control.damaged(np.ones(len(phi))) is control
+    assert np.allclose(damaged.bond_stiffness, s, rtol=1e-15, atol=0.0)
+    K = np.zeros((n, 2, 2))
+    np.add.at(K, families.centres, s[:, None, None] * xi[:, :, None] * xi[:, None, :])
+    expected = np.linalg.pinv(K, rcond=1e-6, hermitian=True)
+    assert not expected[150].any() and np.linalg.matrix_rank(expected[200]) == 1
+    assert np.allclose(damaged.K_inverse, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    u = rng.uniform(-1.0, 1.0, (cloud.n_local, 2))
+    energy = damaged.energy(u, families.everyone)
+    assert energy == pytest.approx(damaged.family_energy(u).sum(), rel=1e-14)
+    assert energy == pytest.approx(damaged.force(u, np.zeros_like(u), families.everyone), rel=1e-14)
+
+
+def test_broken_bonds_take_little_memory():
+    """At the peak of the set-up 60 bytes a bond: its ends, its degradation factor, and three numbers for a while."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0, 0.0), (18.0, 18.0, 18.0), 1.0), horizon=3.015,
+        material=pd.LinearElastic(E=1.0, nu=0.3), scheme=pd.Correspondence(), control=pd.Silling(0.5),
+        weights=pd.Standard(), damage=pd.Brittle(pd.ConstantCritical(1.0)),
+        conditions=[pd.Displacement(region.Slab("x", high=1.0), x=0.0, y=0.0, z=0.0)],
+    )  # fmt: skip
+
+    def peak():
+        tracemalloc.start()
+        try:
+            cloud = make_cloud(world(), case)
+            families = make_families(case, cloud)
+            problem = make_problem(case, cloud, families)
+            problem.damage.bonds.phi[np.random.default_rng(6).random(families.n_bonds) < 0.02] = 0.0
+            problem.bonds_restored()
+            tangent = problem.linearised(problem.state(np.zeros((cloud.n_rows, 3))))
+            tangent.point_blocks()
+            tangent.stiffness()
+            return tracemalloc.get_traced_memory()[1] / families.n_bonds
+        finally:
+            tracemalloc.stop()
+
+    peak()  # compiles
+    assert peak() < 60.0

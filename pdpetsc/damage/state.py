@@ -138,10 +138,6 @@ class FailingBonds:
 
     def soften(self, x: Float) -> float:
         """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
-<<<<<<< HEAD
-        self.kappa[:] = self.law.effect.reached(x, self.kappa)
-=======
->>>>>>> cfb0406 (Bond data of damage and controls are computed on use; freed memory returns to the system)
         if not self.laws.softens:
             return 0.0
         T = self.following(x)[0]
@@ -152,6 +148,7 @@ class FailingBonds:
         change = float(np.abs(self.phi - T).max(initial=0.0))
         # A bond without remaining force breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
+        self.kappa[:] = self.law.effect.reached(x, self.kappa)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:

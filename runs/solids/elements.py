@@ -5,6 +5,8 @@ The law is written anew here, in terms of ``b_e = F C_p^-1 F^T`` with a return i
 of revolution: then x is the radius, the third direction goes round, and every integral has the factor ``2 pi x``.
 """
 
+import sys
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
@@ -17,6 +19,11 @@ TOLERANCE = 1e-8
 STEPS = 30
 # Components of F that move, the hoop stretch the last one.
 PARTS = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))
+
+
+def linear(yield_stress, slope):
+    """Return the yield stress and its slope as a function of alpha, for linear hardening."""
+    return lambda alpha: (yield_stress + slope * alpha, np.full_like(alpha, slope))
 
 
 class Law:
@@ -100,7 +107,7 @@ def shear(v, w):
 
 
 class Body:
-    """An elastic-plastic body of a mesh, marched by ``step``.
+    """An elastic-plastic body of a mesh, marched by ``step`` or ``march``.
 
     Attributes
     ----------
@@ -116,12 +123,11 @@ class Body:
         self.shape = self.basis.dx.shape
         self.law = law(E, nu, hardening, int(np.prod(self.shape)))
         self.u = np.zeros(self.basis.N)
-        vertical = np.zeros(self.basis.N, dtype=bool)
-        for group in (self.basis.nodal_dofs, self.basis.facet_dofs, self.basis.interior_dofs):
-            vertical[group[1]] = True
-        self.vertical, self.x = vertical, self.basis.doflocs
+        self.x, self.vertical = self.basis.doflocs, np.zeros(self.basis.N, dtype=bool)
+        self.vertical[self.basis.split_indices()[1]] = True
         self.parts, self.weight = self._parts()
-        self.force = self._forces(self.u)[1]
+        F, self.force = self._forces(self.u)
+        self.stiff = self._stiff(F)
 
     def gradient(self, u):
         """Return F (n, 3, 3) at all Gauss points."""
@@ -163,17 +169,16 @@ class Body:
     def step(self, held, values, load=0.0, ratio=0.0):
         """March to prescribed displacements and a load (n,); return whether Newton's method converged.
 
-        It starts from the last increment times ``ratio``, or from the linear response of the last state where that is
-        zero: at a state that has flowed the tangent is elastic.
+        It starts from the last increment times ``ratio``, or from the linear response where that is zero, with the
+        tangent of the last iteration: at a state that is kept the tangent is elastic.
         """
         free = np.setdiff1d(np.arange(self.basis.N), held)
-        start, u = self.u, self.u.copy()
+        start, u, K = self.u, self.u.copy(), self.stiff
         load = load * np.ones(self.basis.N)
         if ratio > 0.0:
             u += ratio * self.increment
             u[held] = values
         else:
-            K = self._stiff(self.gradient(u))
             increment = np.zeros(self.basis.N)
             increment[held] = values - u[held]
             right = (K @ increment + self.force - load)[free]
@@ -183,13 +188,14 @@ class Body:
         for _ in range(STEPS):
             size = np.linalg.norm((force - load)[free])
             if size < TOLERANCE * np.linalg.norm(force[held]):
-                self.u, self.force, self.increment = u, force, u - start
+                self.u, self.force, self.increment, self.stiff = u, force, u - start, K
                 self.law.keep(F)
                 return True
             if not np.isfinite(size):
                 break
+            K = self._stiff(F)
             try:
-                change = splu(self._stiff(F)[free][:, free].tocsc()).solve((force - load)[free])
+                change = splu(K[free][:, free].tocsc()).solve((force - load)[free])
             except RuntimeError:  # exactly singular
                 break
             for length in (1.0, 0.5, 0.25, 0.125):
@@ -200,3 +206,11 @@ class Body:
                     break
             u = moved
         return False
+
+    def march(self, held, values, load, steps):
+        """Take equal steps from zero to displacements and a load (n,); yield the step time after each of them."""
+        for step in range(1, steps + 1):
+            t = step / steps
+            if not self.step(held, values * t, load * t):
+                sys.exit(f"Newton's method did not converge in step {step} of {steps}.")
+            yield t

@@ -268,8 +268,9 @@ def test_a_body_of_the_law_by_hand_is_the_same(tmp_path):
         )
     )
     assert text["force"] == pytest.approx(hand["force"], rel=1e-10)
-    summaries = [summary(tmp_path / name) for name in ("hand", "text")]
-    one, other = ([step["newton_iterations"] for step in summary["steps"]] for summary in summaries)
+    one, other = (
+        [step["newton_iterations"] for step in summary(tmp_path / name)["steps"]] for name in ("hand", "text")
+    )
     assert one == other and max(one) > 1
 
 

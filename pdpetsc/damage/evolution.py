@@ -78,15 +78,9 @@ class LargestStretch(DamageEvolution):
     >>> damage = pd.LinearSoftening(pd.ConstantCritical(0.01), effect=pd.LargestStretch())
     """
 
-    @property
-    def reversible(self) -> bool:
-        """Return False."""
-        return False
+    reversible = False
 
-    @property
-    def breaks_by_family_strain(self) -> bool:
-        """Return True."""
-        return True
+    breaks_by_family_strain = True
 
     def follows(self, present: Float, kept: Float) -> Mask:
         """Return True for bonds whose present degradation factor is below the committed one."""
@@ -131,15 +125,9 @@ class PresentStretch(DamageEvolution):
     ``1 - tanh n`` as ``tanh(n)^2 - 1``.
     """
 
-    @property
-    def reversible(self) -> bool:
-        """Return True."""
-        return True
+    reversible = True
 
-    @property
-    def breaks_by_family_strain(self) -> bool:
-        """Return False."""
-        return False
+    breaks_by_family_strain = False
 
     def follows(self, present: Float, kept: Float) -> Mask:
         """Return True for all."""

@@ -228,10 +228,7 @@ class Brittle(PiecewiseLinear):
     Silling2005, Eq. (24); Mikes2021, Eq. (7).
     """
 
-    @property
-    def final(self) -> float:
-        """Return 1."""
-        return 1.0
+    final = 1.0
 
 
 @dataclass(frozen=True)
@@ -404,10 +401,7 @@ class SmoothDegradation(BondDamage):
         """Return ``s_min / s_cr``."""
         return self.start
 
-    @property
-    def final(self) -> float:
-        """Return 1."""
-        return 1.0
+    final = 1.0
 
     def phi(self, x: Float) -> Float:
         """Return ``T_s``."""

@@ -255,10 +255,7 @@ class MeshNodes(Mesh):
         rows = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
         return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
 
-    @property
-    def on_surface(self) -> bool:
-        """Return that outer particles lie on the surface."""
-        return True
+    on_surface = True
 
     def cells(self) -> Cells:
         """Return the cells of the mesh, with particles at their corners."""

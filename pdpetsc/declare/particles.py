@@ -223,10 +223,7 @@ class Lattice(Particles):
         """Return the corners of the real body (dim,) [length]."""
         return corners("Lattice", self.low, self.high)
 
-    @property
-    def fills_boxes(self) -> bool:
-        """Return that they are."""
-        return True
+    fills_boxes = True
 
     def estimate(self) -> int:
         """Return the number of cells, cut out or not."""
@@ -344,10 +341,7 @@ class LatticeNodes(Particles):
         super().__post_init__()
         self._cells  # noqa: B018 - refuses what is no lattice
 
-    @property
-    def on_surface(self) -> bool:
-        """Return True."""
-        return True
+    on_surface = True
 
     def estimate(self) -> int:
         """Return the number of corners, of cells that are cut out or not."""

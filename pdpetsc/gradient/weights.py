@@ -45,10 +45,7 @@ class Standard(Weights):
     False
     """
 
-    @property
-    def conform(self) -> bool:
-        """Return False."""
-        return False
+    conform = False
 
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
@@ -73,10 +70,7 @@ class Conforming(Weights):
     True
     """
 
-    @property
-    def conform(self) -> bool:
-        """Return True."""
-        return True
+    conform = True
 
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
@@ -90,10 +84,7 @@ class Conforming(Weights):
 class Suited(Conforming):
     """Conforming weights if they exist, else those of the scheme: the default of nodes and irregular clouds."""
 
-    @property
-    def required(self) -> bool:
-        """Return False."""
-        return False
+    required = False
 
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem

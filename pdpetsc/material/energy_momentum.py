@@ -50,10 +50,8 @@ class EnergyMomentum(Material):
         """Return True if the law may have no stress."""
         return self.of.may_fail
 
-    @property
-    def symmetric(self) -> bool:
-        """Return False: the mean stress depends on both ends of a step."""
-        return False
+    # The mean stress depends on both ends of a step.
+    symmetric = False
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the loops for dimension ``dim``."""
@@ -87,10 +85,7 @@ class EnergyMomentum(Material):
         """Return those of the law, and the duration of the step."""
         return np.append(self.of.constants(dim), 0.0)
 
-    @property
-    def reads_step(self) -> bool:
-        """Return True."""
-        return True
+    reads_step = True
 
     def moduli(self, dim: int) -> Float:
         """Return those of the law."""

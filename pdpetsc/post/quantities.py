@@ -165,10 +165,7 @@ class PathOpening(Quantity):
 
     measure: Opening
 
-    @property
-    def dimension(self) -> str:
-        """Return its dimension."""
-        return "length"
+    dimension = "length"
 
     def evaluate(self, solution: Solution) -> float:
         """Return the opening."""

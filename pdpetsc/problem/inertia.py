@@ -315,10 +315,8 @@ class Inertia(Term):
             if self.step is not None:
                 self.step = 0.0
 
-    @property
-    def has_history(self) -> bool:
-        """Return True: the forces depend on the last converged step."""
-        return True
+    # The forces depend on the last converged step.
+    has_history = True
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return displacement, velocity and acceleration of the last converged step."""

@@ -66,10 +66,8 @@ class MonolithicSolver(StaticSolver):
         self._first = 0.0
         super().__init__(problem, assembler, stop, steps)
 
-    @property
-    def tangent_at(self) -> Float | None:
-        """Return None: the tangent also depends on the temperature at the start of the next step."""
-        return None
+    # The tangent also depends on the temperature at the start of the next step.
+    tangent_at = None
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium and temperature at load parameter ``t`` starting from ``u`` (n_rows, dim)."""

@@ -83,10 +83,8 @@ class RelaxationSolver(LoadStepSolver):
         """Build the solver of a setting (collective)."""
         return cls(setting.problem, setting.declared, setting.steps, setting.stop)
 
-    @property
-    def matrix_bytes(self) -> int:
-        """Return 0: there is no matrix."""
-        return 0
+    # There is no matrix.
+    matrix_bytes = 0
 
     def description(self) -> str:
         """Return a short description of the solver."""

@@ -115,10 +115,8 @@ class BodyContactForces(FacetContact):
         _, count = np.unique(particle, return_counts=True)
         return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members.astype(np.int32)
 
-    @property
-    def within_families(self) -> bool:
-        """Return False: pairs are of particles without a common family (not collective)."""
-        return False
+    # Pairs are of particles without a common family.
+    within_families = False
 
     def _formed(self, u: Float) -> Pairs:
         """Return the pairs of facets that may touch, for displacements of local particles (n_local, dim)."""

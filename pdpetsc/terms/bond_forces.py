@@ -150,10 +150,8 @@ class BondForces(MaterialTerm):
         self._is_nonlocal = damage.driving_variable.is_nonlocal
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
-    @property
-    def n_points(self) -> int:
-        """Return 0: there are no gradient points."""
-        return 0
+    # There are no gradient points.
+    n_points = 0
 
     @property
     def parts(self) -> list[str]:

@@ -55,10 +55,7 @@ class ControlForces(Term):
         """Return the name of the control."""
         return [f"control {self.name}"]
 
-    @property
-    def piecewise_linear(self) -> bool:
-        """Return True."""
-        return True
+    piecewise_linear = True
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -70,10 +67,7 @@ class ControlForces(Term):
         """Return True if no degradation factor scales the forces only."""
         return self.damage is None or not self._fades
 
-    @property
-    def whole_families(self) -> bool:
-        """Return True."""
-        return True
+    whole_families = True
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:

@@ -123,15 +123,10 @@ class DamagedPoints(MaterialPoints):
         """Return True if materials are linear and damage is constant."""
         return self._linear and not self.damage.bonds.softens
 
-    @property
-    def whole_families(self) -> bool:
-        """Return True: the sparsity is that of whole families, which broken bonds do not change."""
-        return True
+    # The sparsity is that of whole families, which broken bonds do not change.
+    whole_families = True
 
-    @property
-    def has_history(self) -> bool:
-        """Return True."""
-        return True
+    has_history = True
 
     def temperature(self, state: State) -> Float | None:
         """Return the temperature of the points (n_points,); None without temperature (collective)."""

@@ -66,10 +66,7 @@ class DegradedPatchPoints(DegradedPoints):
         """Return the particles of patches with their families."""
         return self._sharing.stencils
 
-    @property
-    def within_families(self) -> bool:
-        """Return False."""
-        return False
+    within_families = False
 
     @property
     def patch_of_point(self) -> GlobalIndex:

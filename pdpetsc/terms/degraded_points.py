@@ -196,15 +196,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return True if the forces are linear as long as no point fails."""
         return self._linear and self._closed is None
 
-    @property
-    def has_history(self) -> bool:
-        """Return True."""
-        return True
+    has_history = True
 
-    @property
-    def whole_families(self) -> bool:
-        """Return True: a point that fails couples its whole family if there is a control."""
-        return True
+    # A point that fails couples its whole family if there is a control.
+    whole_families = True
 
     @property
     def lost(self) -> Mask | None:
@@ -226,10 +221,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return the degradation factors of the points (n_points,): failed points insulate."""
         return self.points.phi
 
-    @property
-    def softens(self) -> bool:
-        """Return True."""
-        return True
+    softens = True
 
     @property
     def failing(self) -> FailingPoints:

@@ -163,10 +163,7 @@ class PatchPoints(MaterialPoints):
         """Return the particles of every patch with their families. The owner is first, and again among the others."""
         return self._patches
 
-    @property
-    def within_families(self) -> bool:
-        """Return False."""
-        return False
+    within_families = False
 
     def dependents(self, marked: Float) -> Mask:
         """Return the own particles that share a patch with a marked local particle (collective)."""

@@ -116,10 +116,8 @@ class ParticleContactForces(Term):
         members = members[(members >= 0).all(axis=1)]
         return np.arange(0, 2 * len(members) + 1, 2, dtype=np.int64), members.ravel()
 
-    @property
-    def within_families(self) -> bool:
-        """Return False: pairs are of particles without a common family (not collective)."""
-        return False
+    # Pairs are of particles without a common family.
+    within_families = False
 
     def _searched(self, u: Float, further: float = 0.0) -> _Near:
         """Find the pairs that may touch at displacements of the own particles (n_owned, dim), or a little later.

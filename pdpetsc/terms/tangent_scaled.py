@@ -69,20 +69,11 @@ class TangentScaledForces(ControlForces):
         self._yielding = Yielding.unloaded(body.cloud.n_owned)
         self._share = np.ones(body.cloud.n_owned)
 
-    @property
-    def linear(self) -> bool:  # type: ignore[override]
-        """Return False."""
-        return False
+    linear = False
 
-    @property
-    def piecewise_linear(self) -> bool:
-        """Return False."""
-        return False
+    piecewise_linear = False
 
-    @property
-    def has_history(self) -> bool:
-        """Return True."""
-        return True
+    has_history = True
 
     @cached_property
     def _members(self) -> StencilMembers:

@@ -60,10 +60,8 @@ class TiedForces(PointSprings):
         # An own particle at both ends of each pair.
         self._joined = np.stack([ends.members[ends.ptr[:-1]], ends.members[ends.ptr[1:] - 1]], axis=1)
 
-    @property
-    def within_families(self) -> bool:
-        """Return False: pairs are of particles without a common family (not collective)."""
-        return False
+    # Pairs are of particles without a common family.
+    within_families = False
 
     @property
     def joined(self) -> LocalIndex:

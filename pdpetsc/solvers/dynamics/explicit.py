@@ -98,10 +98,8 @@ class ExplicitSolver(Solver):
         if problem.fields:
             raise CaseError("Explicit does not solve for a temperature. Use Implicit, or prescribe it.")
 
-    @property
-    def matrix_bytes(self) -> int:
-        """Return 0: there is no matrix."""
-        return 0
+    # There is no matrix.
+    matrix_bytes = 0
 
     def description(self) -> str:
         """Return a short description of the solver."""

@@ -88,7 +88,6 @@ class TangentScaled(ZeroEnergyControl):
 
     @property
     def elastic(self) -> ZeroEnergyControl:
-        """Return the elastic control."""
         return self.control
 
     @property

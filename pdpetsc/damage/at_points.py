@@ -104,7 +104,6 @@ class PointDrivingVariable(DrivingVariable):
         self._grown = np.zeros(bonds.cloud.n_owned)
 
     def take(self, solid: Solid) -> None:
-        """Use these gradient points."""
         self._solid = solid
 
     @property
@@ -249,7 +248,6 @@ class StrainCriterion(PointCriterion):
         return np.asarray(self.equivalent(_strains(moment.laws, F)[0])[0] / self.critical)
 
     def by_deformation(self, moment: Moment, F: Float) -> Float:
-        """Return its derivative."""
         strain, by = _strains(moment.laws, F)
         return np.asarray(np.einsum("pa,paij->pij", self.equivalent(strain)[1] / self.critical, by))
 
@@ -356,7 +354,6 @@ class PrincipalStress(PointCriterion):
         return np.asarray(np.linalg.eigvalsh(0.5 * (sigma + sigma.transpose(0, 2, 1)))[:, -1] / self.strength)
 
     def by_deformation(self, moment: Moment, F: Float) -> Float:
-        """Return its derivative."""
         laws = moment.laws
         sigma = laws.cauchy(F)
         values, axes = np.linalg.eigh(0.5 * (sigma + sigma.transpose(0, 2, 1)))

@@ -95,7 +95,6 @@ class LargestStretch(DamageEvolution):
         return share
 
     def of_control(self, kept: Float) -> Float:
-        """Return the degradation factor."""
         return kept
 
     def fading(self, phi: Float) -> Float | None:
@@ -130,15 +129,12 @@ class PresentStretch(DamageEvolution):
     breaks_by_family_strain = False
 
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return True for all."""
         return np.ones(len(present), dtype=bool)
 
     def reached(self, x: Float, kappa: Float) -> Float:
-        """Return the present driving variable."""
         return x
 
     def volume_left(self, share: Float) -> Float:
-        """Return 1: all of it."""
         return np.ones_like(share)
 
     def of_control(self, kept: Float) -> Float:
@@ -146,5 +142,4 @@ class PresentStretch(DamageEvolution):
         return np.asarray(kept > 0.0, dtype=np.float64)
 
     def fading(self, phi: Float) -> Float | None:
-        """Return the degradation factor."""
         return phi

@@ -309,16 +309,13 @@ class ExponentialSoftening(BondDamage):
 
     @property
     def final(self) -> float:
-        """Return the ratio."""
         return self.ratio
 
     def phi(self, x: Float) -> Float:
-        """Return force over elastic force."""
         rest = math.exp(-self.rate * (self.ratio - 1.0))
         return np.asarray((np.exp(-self.rate * (x - 1.0)) - rest) / (1.0 - rest) / x)
 
     def slope(self, x: Float) -> Float:
-        """Return its derivative."""
         rest = math.exp(-self.rate * (self.ratio - 1.0))
         softening = np.exp(-self.rate * (x - 1.0))
         return np.asarray(-(self.rate * softening + (softening - rest) / x) / (1.0 - rest) / x)
@@ -350,15 +347,12 @@ class BilinearSoftening(BondDamage):
 
     @property
     def final(self) -> float:
-        """Return the ratio."""
         return self.ratio
 
     def phi(self, x: Float) -> Float:
-        """Return force over elastic force."""
         return np.asarray(np.interp(x, [1.0, self.kink, self.ratio], [1.0, self.share, 0.0]) / x)
 
     def slope(self, x: Float) -> Float:
-        """Return its derivative."""
         first, second = (self.share - 1.0) / (self.kink - 1.0), -self.share / (self.ratio - self.kink)
         return np.asarray((np.where(x < self.kink, first, second) - self.phi(x)) / x)
 

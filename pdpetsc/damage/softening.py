@@ -52,7 +52,6 @@ class Linear(SofteningCurve):
         return 1.0 - xi
 
     def slope(self, xi: Float) -> Float:
-        """Return -1."""
         return -np.ones_like(xi)
 
     def integral(self, xi: Float) -> Float:
@@ -79,15 +78,12 @@ class Exponential(SofteningCurve):
     rate: Positive = 5.0
 
     def stress(self, xi: Float) -> Float:
-        """Return s."""
         return np.asarray((np.exp(-self.rate * xi) - np.exp(-self.rate)) / -np.expm1(-self.rate))
 
     def slope(self, xi: Float) -> Float:
-        """Return its derivative."""
         return np.asarray(-self.rate * np.exp(-self.rate * xi) / -np.expm1(-self.rate))
 
     def integral(self, xi: Float) -> Float:
-        """Return its integral."""
         falling = -np.expm1(-self.rate * xi) / self.rate
         return np.asarray((falling - np.exp(-self.rate) * xi) / -np.expm1(-self.rate))
 
@@ -115,7 +111,6 @@ class Bilinear(SofteningCurve):
     share: Fraction = 1.0 / 3.0
 
     def stress(self, xi: Float) -> Float:
-        """Return s."""
         return np.asarray(np.interp(xi, [0.0, self.kink, 1.0], [1.0, self.share, 0.0]))
 
     def slope(self, xi: Float) -> Float:
@@ -157,16 +152,13 @@ class Cornelissen(SofteningCurve):
         return float((1.0 + self.c1**3) * np.exp(-self.c2))
 
     def stress(self, xi: Float) -> Float:
-        """Return s."""
         return np.asarray((1.0 + (self.c1 * xi) ** 3) * np.exp(-self.c2 * xi) - xi * self._end)
 
     def slope(self, xi: Float) -> Float:
-        """Return its derivative."""
         rising = 3.0 * self.c1**3 * xi**2 - self.c2 * (1.0 + (self.c1 * xi) ** 3)
         return np.asarray(rising * np.exp(-self.c2 * xi) - self._end)
 
     def integral(self, xi: Float) -> Float:
-        """Return its integral."""
         c, falling = self.c2, np.exp(-self.c2 * xi)
         cubic = 6.0 / c**4 - falling * (xi**3 / c + 3.0 * xi**2 / c**2 + 6.0 * xi / c**3 + 6.0 / c**4)
         return np.asarray((1.0 - falling) / c + self.c1**3 * cubic - 0.5 * xi**2 * self._end)

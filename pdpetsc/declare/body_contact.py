@@ -91,7 +91,6 @@ class BodyContact(TwoParts):
     name: str = "contact"
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the term."""
         onto.body_contact(self, name)
 
     def beyond(self, horizon: float) -> float:
@@ -139,7 +138,6 @@ class Tied(TwoParts):
     name: str = "tie"
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the term."""
         onto.tied(self, name)
 
     def beyond(self, horizon: float) -> float:
@@ -193,5 +191,4 @@ class ParticleContact(Condition):
     name: str = "fragments"
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the term."""
         onto.particle_contact(self, name)

@@ -155,7 +155,6 @@ class Displacement(VectorCondition):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Prescribe the displacement."""
         onto.displacement(self, name)
 
 
@@ -181,7 +180,6 @@ class InitialVelocity(VectorCondition):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Set the velocity."""
         onto.initial_velocity(self, name)
 
     def __post_init__(self) -> None:
@@ -203,7 +201,6 @@ class DrivenMotion(VectorCondition):
     order: ClassVar[int]
 
     def put(self, onto: Any, name: str) -> None:
-        """Prescribe the displacement."""
         onto.driven_motion(self, name)
 
     def moved(self, component: Value, duration: float) -> Callable[[Float, float], Float]:
@@ -296,7 +293,6 @@ class Force(VectorCondition):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the force."""
         onto.force(self, name)
 
 
@@ -318,7 +314,6 @@ class BodyForce(VectorCondition):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the force per volume."""
         onto.body_force(self, name)
 
 
@@ -355,7 +350,6 @@ class Centrifugal(Condition):
     schedule: Schedule = field(default_factory=Ramp)
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the force."""
         onto.centrifugal(self, name)
 
 
@@ -400,7 +394,6 @@ class Traction(VectorCondition):
     area: Positive | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the traction."""
         onto.surface_traction(self, name) if self.on_surface else onto.traction(self, name)
 
     def __post_init__(self) -> None:
@@ -451,7 +444,6 @@ class SurfacePressure(Condition):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the pressure."""
         onto.surface_pressure(self, name)
 
     def values(self, x: Float, t: float) -> Float:
@@ -488,7 +480,6 @@ class FollowerPressure(SurfacePressure):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the pressure."""
         onto.follower_pressure(self, name)
 
 
@@ -573,7 +564,6 @@ class MeanStrain(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Prescribe the mean strain."""
         onto.mean_strain(self, name)
 
 
@@ -590,5 +580,4 @@ class MeanStress(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the mean stress."""
         onto.mean_stress(self, name)

@@ -54,7 +54,6 @@ class Segment(Crack):
 
     @property
     def line(self) -> Sequence[Sequence[float]]:
-        """Return both ends."""
         return (self.start, self.end)
 
     def cuts(self, a: Float, b: Float) -> Mask:
@@ -87,7 +86,6 @@ class Polyline(Crack):
 
     @property
     def line(self) -> Sequence[Sequence[float]]:
-        """Return its points."""
         return self.points
 
     def cuts(self, a: Float, b: Float) -> Mask:

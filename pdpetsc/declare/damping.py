@@ -43,7 +43,6 @@ class RayleighDamping(Condition):
     region: Region = field(default_factory=All)
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the damping."""
         onto.rayleigh_damping(self, name)
 
     def __post_init__(self) -> None:
@@ -80,7 +79,6 @@ class BulkViscosity(Condition):
     quadratic: NonNegative = 1.2
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the viscosity."""
         onto.bulk_viscosity(self, name)
 
 
@@ -112,5 +110,4 @@ class AbsorbingBoundary(Condition):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the dashpots."""
         onto.absorbing_boundary(self, name)

@@ -109,7 +109,6 @@ class All(Region):
     """
 
     def mask(self, view: View) -> Mask:
-        """Return all true."""
         return np.ones(len(view.x), dtype=bool)
 
 
@@ -326,7 +325,6 @@ class Named(Region):
     name: str
 
     def mask(self, view: View) -> Mask:
-        """Return the set."""
         if self.name not in view.sets:
             sides = ", ".join(repr(side) for side in SIDES[: 2 * view.x.shape[1]])
             raise CaseError(

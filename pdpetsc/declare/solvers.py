@@ -384,7 +384,6 @@ class Implicit(DeclaredSolver):
 
     @property
     def conserving(self) -> bool:
-        """Return True if declared."""
         return self.energy_momentum
 
     @property

@@ -84,7 +84,6 @@ class RigidRegion(RigidMotion, _Support):
         return (_with_layers(lattice, self.region.side, horizon) if isinstance(self.region, Face) else lattice), []
 
     def put(self, onto: Any, name: str) -> None:
-        """Prescribe all components."""
         free = isinstance(onto.particles, Lattice) or not isinstance(self.region, Face)
         onto.rigid_region(self, self.region if free else self._on(onto.particles), name)
 
@@ -118,7 +117,6 @@ class Clamp(_Support):
         return _with_layers(lattice, self._side().side, horizon), []
 
     def put(self, onto: Any, name: str) -> None:
-        """Prescribe zero for all components."""
         region = self._side() if isinstance(onto.particles, Lattice) else self._on(onto.particles)
         dim = onto.body.dim
         held = Displacement(region, 0.0, 0.0 if dim > 1 else None, 0.0 if dim > 2 else None)
@@ -247,7 +245,6 @@ class Foundation(Condition):
             raise CaseError("A Foundation requires a positive stiffness `normal` or `tangential`.")
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the springs."""
         onto.foundation(self, name)
 
 

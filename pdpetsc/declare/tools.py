@@ -335,7 +335,6 @@ class Contact(Condition):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Add the term."""
         onto.contact(self, name)
 
 

@@ -129,11 +129,9 @@ class OfNearest(NearInverse):
             self.matrices = [Entries(rows, columns, turned[:, component]) for component in range(dim)]
 
     def restrict(self, values: Float) -> Float:
-        """Return the values."""
         return values
 
     def interpolate(self, values: Float) -> Float:
-        """Return the values."""
         return values
 
     def _of_points(

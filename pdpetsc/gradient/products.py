@@ -152,7 +152,6 @@ class PointBlocks(Product):
 
     @property
     def blocks(self) -> Float:
-        """Return the blocks."""
         return self._blocks
 
     def add_point_blocks(self, blocks: Float) -> bool:
@@ -179,7 +178,6 @@ class ScaledProduct(Product):
         self._product.add_product(self._factor * du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
-        """Add scaled rows."""
         part = Entries.zeros(entries.sparsity, entries.component)
         self._product.add_rows(part)
         for values, added in ((entries.diag, part.diag), (entries.off, part.off), (entries.ghost, part.ghost)):
@@ -193,7 +191,6 @@ class ScaledProduct(Product):
         return known
 
     def stiffness(self) -> Float | None:
-        """Return the scaled stiffness."""
         D = self._product.stiffness()
         return None if D is None else self._factor * D
 
@@ -352,7 +349,6 @@ class FacetSprings(FacetProduct):
         return len(self._stencils.members)
 
     def stiff(self) -> FacetSprings:
-        """Return itself."""
         return self
 
 
@@ -363,7 +359,6 @@ class SofteningProduct(RankOneProduct):
     """
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add nothing."""
         return True
 
 
@@ -388,5 +383,4 @@ class ConstraintProduct(RankOneProduct):
         self.b, self.D, self.soft = b, D, soft
 
     def constraint(self) -> ConstraintProduct:
-        """Return itself."""
         return self

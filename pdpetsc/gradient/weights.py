@@ -50,7 +50,6 @@ class Standard(Weights):
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the operator unchanged."""
         return operator
 
 

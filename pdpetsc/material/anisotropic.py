@@ -169,7 +169,6 @@ class AnisotropicLinear(Material):
         return float(np.einsum("iikk", self._mean(dim))) / dim**2
 
     def young_modulus(self) -> float:
-        """Raise CaseError."""
         raise CaseError(
             f"{type(self).__name__} has another Young's modulus in every direction; damage takes materials "
             f"that are isotropic at small strain."
@@ -267,7 +266,6 @@ class AnisotropicElastic(AnisotropicLinear):
     plane: Literal["strain", "stress"] = "strain"
 
     def in_own_axes(self) -> Float:
-        """Return the stiffness."""
         C = real_numbers(self.stiffness)
         if C is None or C.shape != (6, 6):
             raise CaseError(

@@ -257,7 +257,6 @@ class IsotropicMaterial(Material):
         return self.thickness_stretch(F)
 
     def young_modulus(self) -> float:
-        """Return E."""
         return self.E
 
     def moduli(self, dim: int) -> Float:

@@ -40,7 +40,6 @@ class ClosedPart(ElasticMaterial):
     closed: Callable[[Float, float, float], Principal] = field(kw_only=True)
 
     def kernels(self, dim: int) -> PointKernels:
-        """Return loops in numpy."""
 
         def write(quantity: Callable[[Float, Principal], Float]) -> Callable[..., None]:
             def loop(F: Float, select: GlobalIndex, constants: Float, result: Float) -> None:

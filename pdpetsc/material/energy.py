@@ -48,7 +48,6 @@ class Step(sympy.Function):  # type: ignore[misc]
         return sympy.Integer(1 if x > 0 else 0) if x.is_number and x.is_real else None
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return 0."""
         return sympy.Integer(0)
 
 
@@ -63,7 +62,6 @@ class Pos(sympy.Function):  # type: ignore[misc]
         return (x if x > 0 else sympy.Integer(0)) if x.is_number and x.is_real else None
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return the step."""
         return Step(self.args[0])
 
 

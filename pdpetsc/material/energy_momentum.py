@@ -88,19 +88,15 @@ class EnergyMomentum(Material):
     reads_step = True
 
     def moduli(self, dim: int) -> Float:
-        """Return those of the law."""
         return self.of.moduli(dim)
 
     def young_modulus(self) -> float:
-        """Return that of the law."""
         return self.of.young_modulus()
 
     def bulk_like_modulus(self, dim: int) -> float:
-        """Return that of the law."""
         return self.of.bulk_like_modulus(dim)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
-        """Return that of the law."""
         return self.of.hidden_stretch(F, history[:, F.shape[1] ** 2 :], dt)
 
     def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:

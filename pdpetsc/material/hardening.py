@@ -74,7 +74,6 @@ class Linear(Hardening):
         return np.asarray(self.H * alpha)
 
     def slope(self, alpha: Float) -> Float:
-        """Return H."""
         return np.full(np.shape(alpha), float(self.H))
 
     def integral(self, alpha: Float) -> Float:
@@ -217,7 +216,6 @@ class Tabular(Hardening):
         object.__setattr__(self, "increases", tuple(float(value) for value in y))
 
     def increase(self, alpha: Float) -> Float:
-        """Return the interpolated increase."""
         return np.asarray(np.interp(alpha, self.strains, self.increases))
 
     def slope(self, alpha: Float) -> Float:

@@ -73,7 +73,6 @@ class Whole(Split):
         return
 
     def closed(self, strain: Float, lam: float, mu: float) -> Principal:
-        """Return zeros."""
         n, k = strain.shape
         return Principal(np.zeros(n), np.zeros((n, k)), np.zeros((n, k, k)))
 

@@ -100,7 +100,6 @@ class StressFreeStrain(Unexpanded):
         return np.empty((len(self.points), *(self.inside,) * (result.ndim - 1)))
 
     def stress(self, elastic: Float, P: Float) -> None:
-        """Write P of all points."""
         P[self.points] = self.first_piola(elastic)[:, : self.dim, : self.dim]
 
     def tangent(self, elastic: Float, A: Float) -> None:

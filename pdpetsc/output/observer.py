@@ -154,7 +154,6 @@ class StepLines(Observer):
     """The line of the log for each step."""
 
     def begin(self, observed: Observed) -> None:
-        """Start the clock."""
         super().begin(observed)
         observed.report.begin(observed.last.t, observed.last.step)
 

@@ -86,17 +86,14 @@ class LogReport(Report):
     """Passes lines to the logger ``pdpetsc`` as information, details for debugging, and warnings as warnings."""
 
     def say(self, text: str) -> None:
-        """Log a line."""
         if self._speaks:
             LOG.info("%s", text.strip())
 
     def detail(self, text: str) -> None:
-        """Log a line for debugging."""
         if self._speaks:
             LOG.debug("%s", text.strip())
 
     def warn(self, text: str) -> None:
-        """Log a warning."""
         if self._speaks:
             LOG.warning("%s", text)
 
@@ -105,7 +102,6 @@ class _Console(Console):
     """A console that goes silent where nobody reads it any more, as behind ``| head``; rich would end the process."""
 
     def on_broken_pipe(self) -> None:
-        """Print nothing from here on."""
         self.quiet = True
 
 
@@ -157,7 +153,6 @@ class ConsoleReport(Report):
         self._progress.update(self._task, visible=True)
 
     def say(self, text: str) -> None:
-        """Print a line."""
         self._console.print(text)
 
     def detail(self, text: str) -> None:
@@ -166,7 +161,6 @@ class ConsoleReport(Report):
             self.say(text)
 
     def warn(self, text: str) -> None:
-        """Print a sentence to stderr."""
         if self._speaks:
             with contextlib.suppress(OSError):
                 print(f"pdpetsc: {text}", file=sys.stderr, flush=True)

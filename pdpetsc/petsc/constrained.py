@@ -108,7 +108,6 @@ class Constrained(Preconditioning):
         return self._levels.bytes
 
     def destroy(self) -> None:
-        """Free the PETSc objects."""
         if self._ksp is not None and self._system is not None:
             self._ksp.destroy()
             self._system.destroy()

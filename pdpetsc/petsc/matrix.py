@@ -137,7 +137,6 @@ class TangentMatrix(PetscTangent):
         return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
 
     def destroy(self) -> None:
-        """Free the PETSc objects."""
         self.mat.destroy()
         if self._tied is not None:
             self._whole.destroy()

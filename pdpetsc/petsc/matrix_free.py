@@ -164,7 +164,6 @@ class MatrixFreeTangent(PetscTangent):
         return self._made_from.bytes
 
     def destroy(self) -> None:
-        """Free the PETSc objects."""
         self.mat.destroy()
         self._made_from.destroy()
 
@@ -205,7 +204,6 @@ class NearMatrix(Preconditioning):
         return self._matrix.bytes
 
     def destroy(self) -> None:
-        """Free the PETSc object."""
         self._matrix.destroy()
 
 

@@ -183,7 +183,6 @@ class TwoLevel(Preconditioning):
         return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
 
     def destroy(self) -> None:
-        """Free the PETSc objects."""
         self._interpolation.destroy()
         self._nodes = None
         if self._interface is not None:

@@ -337,7 +337,6 @@ class CrackLength(Quantity):
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the length."""
         faces = crack_faces(solution, self.region, self.precracks)
         return float(faces.share @ faces.smooth_area(solution.cloud.horizon))
 

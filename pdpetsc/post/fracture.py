@@ -352,7 +352,6 @@ class JIntegral(_Release):
     dimension = "energy per area"
 
     def number(self, solution: Solution, domain: Domain) -> Number:
-        """Return J."""
         fields, sums = continuum(solution), np.zeros(2)
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
@@ -398,7 +397,6 @@ class EnergyReleaseRate(_Release):
     dimension = "energy per area"
 
     def number(self, solution: Solution, domain: Domain) -> Number:
-        """Return G."""
         x, step, shifts = solution.cloud.x, MOVED * (self.outer - self.inner), list[Float]()
         for frame in domain.frames:
             q, _ = weight(frame.at(x), domain.inner, domain.outer, domain.tilt)
@@ -455,7 +453,6 @@ class StressIntensity(AtTip):
     advice: ClassVar[str] = ""
 
     def number(self, solution: Solution, domain: Domain) -> Number:
-        """Return K."""
         law = self._law(solution, domain)
         assert law is not None
         fields, sums, (on_faces, _) = continuum(solution), np.zeros(2), loads_in(solution, domain)

@@ -19,7 +19,6 @@ class TermNumber(Quantity):
     of_rank: Callable[[State], float]
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the sum."""
         return float(solution.sum(float(self.of_rank(solution.state))))
 
 

@@ -118,7 +118,6 @@ class _OfField(Quantity):
 
     @property
     def dimension(self) -> str:
-        """Return its dimension."""
         return dimension_of(self.field)
 
     def __post_init__(self) -> None:
@@ -151,7 +150,6 @@ class Mean(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the mean."""
         mask = solution.select(self.region)
         values = _component_of(solution, self.field, self.component)[mask]
         weight = solution.volume[mask]
@@ -168,7 +166,6 @@ class PathOpening(Quantity):
     dimension = "length"
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the opening."""
         sides = [self.measure.region, *([] if self.measure.against is None else [self.measure.against])]
         moved = [Mean(displacement, self.measure.component, side).evaluate(solution) for side in sides]
         return moved[0] - sum(moved[1:])
@@ -217,7 +214,6 @@ class Reaction(Quantity):
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the sum."""
         mask = solution.select(self.region)
         return float(solution.sum(component(reaction(solution), self.component)[mask].sum()))
 
@@ -265,7 +261,6 @@ class ReactionMoment(Quantity):
             )
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the moment."""
         mask = solution.select(self.region)
         arm = (solution.x + solution.u - np.asarray(self.about, dtype=float))[mask]
         force = reaction(solution)[mask]
@@ -299,7 +294,6 @@ class CellStrain(_OfCell):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the component."""
         a, b = _axes(solution, self.component)
         return float(solution.cell_strain[a, b])
 
@@ -317,7 +311,6 @@ class CellStress(_OfCell):
     dimension = "stress"
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the component."""
         a, b = _axes(solution, self.component)
         return float(solution.cell_stress[a, b])
 
@@ -337,7 +330,6 @@ class StrainEnergy(Quantity):
     dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the energy."""
         return solution.energies["strain"]
 
 
@@ -354,7 +346,6 @@ class ControlEnergy(Quantity):
     dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the energy."""
         return solution.energies["control"]
 
 
@@ -371,7 +362,6 @@ class KineticEnergy(Quantity):
     dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the energy."""
         inertia_of(solution, self)
         return solution.energies["kinetic"]
 
@@ -394,7 +384,6 @@ class EnergyError(Quantity):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the error."""
         return inertia_of(solution, self).error
 
 
@@ -425,7 +414,6 @@ class ExternalWork(Quantity):
     of_path: ClassVar[bool] = True
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the work."""
         return solution.work
 
 
@@ -455,7 +443,6 @@ class DissipatedEnergy(Quantity):
     of_path: ClassVar[bool] = True
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the energy."""
         problem = solution.problem
         known = problem.material_term.dissipated_energy()
         whole = problem.damage is not None and problem.damage.forces_have_energy
@@ -551,7 +538,6 @@ class CrackSpeed(CrackTip):
         object.__setattr__(self, "_last", [])
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the speed."""
         inertia_of(solution, self)
         last: list[float] = vars(self)["_last"]
         place, time = super().evaluate(solution), solution.state.clock.time
@@ -574,7 +560,6 @@ class BrokenBonds(Quantity):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the number."""
         return float(solution.broken_bonds)
 
 
@@ -594,7 +579,6 @@ class Largest(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the maximum."""
         values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
         return solution.largest(float(values.max(initial=-np.inf)))
 
@@ -655,7 +639,6 @@ class OnSurface(_OfField):
         return surface.x[chosen], surface.area[chosen], found[chosen]
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the number."""
         _, area, found = self.on_facets(solution)
         if self.take == "largest":
             return solution.largest(float(found.max(initial=-np.inf)))
@@ -711,7 +694,6 @@ class RelativeError(_Against):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the error."""
         mask = solution.select(self.region)
         found = _values(solution, self.field)[mask]
         width = math.prod(found.shape[1:])
@@ -742,11 +724,9 @@ class LargestError(_Against):
 
     @property
     def dimension(self) -> str:
-        """Return its dimension."""
         return dimension_of(self.field)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the error."""
         mask = solution.select(self.region)
         found = _values(solution, self.field)[mask]
         difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))

@@ -270,7 +270,6 @@ class Inertia(Term):
         return np.where(self._free, a, 0.0)
 
     def add_row_force(self, state: State, r: Float) -> None:
-        """Add inertia and damping."""
         if not self.active:
             return
         v, a = self.motion(state)

@@ -51,7 +51,6 @@ class FoundModes(Observer):
         return {}
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Refuse what has no modes."""
         refuse_modes(self._case, self._declared, start.problem)
 
     def judge(self) -> None:

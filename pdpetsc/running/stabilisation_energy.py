@@ -19,15 +19,12 @@ class StabilisationEnergy(Observer):
     """Records the energies of each step, and warns if the control stores a large share."""
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
-        """Return the energies."""
         return {"energies": solution.energies}
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
-        """Return the largest share."""
         return {"control": largest_share(steps)}
 
     def warnings(self, steps: StepRecords) -> list[str]:
-        """Return the warning, if any."""
         return [note] if (note := largest_share(steps)["note"]) else []
 
 

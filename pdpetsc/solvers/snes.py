@@ -269,7 +269,6 @@ class SnesSolver(StepSolver):
 
     @property
     def meets_curvature(self) -> bool:
-        """Return True for conjugate gradients."""
         ksp = self._tangent_solver
         return ksp is not None and ksp.getType() == "cg"
 

@@ -62,7 +62,6 @@ class CentrifugalForce(FollowingLoad):
         return float(self._declared.speed * factor) ** 2
 
     def add_row_force(self, state: State, r: Float) -> None:
-        """Subtract the force."""
         n = len(self._mass)
         r[:n] -= (self._squared(state.t) * self._mass)[:, None] * (self._arm + state.u[:n] @ self._P)
 

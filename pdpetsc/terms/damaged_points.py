@@ -94,7 +94,6 @@ class DamagedPoints(MaterialPoints):
 
     @property
     def driving_points(self) -> DamagedPoints:
-        """Return itself."""
         return self
 
     def _undeformed(self) -> KeptHistory | None:

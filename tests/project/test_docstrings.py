@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import doctest
+import importlib
 import inspect
+import pkgutil
 import re
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +55,24 @@ def test_examples_give_what_they_say() -> None:
             runner.run(example)
     assert runner.tries > 100
     assert runner.failures == 0
+
+
+def test_every_public_method_that_overrides_none_has_a_docstring() -> None:
+    """That of an overridden method holds for those that override it."""
+    bare, seen = [], 0
+    for module in pkgutil.walk_packages(pd.__path__, "pdpetsc."):
+        if module.name.endswith("__main__"):
+            continue
+        for one in vars(importlib.import_module(module.name)).values():
+            if not inspect.isclass(one) or one.__module__ != module.name or one.__name__.startswith("_"):
+                continue
+            for name, member in vars(one).items():
+                method = inspect.isfunction(member) or isinstance(member, property | classmethod | cached_property)
+                if method and not name.startswith("_") and not any(name in vars(base) for base in one.__mro__[1:]):
+                    seen += 1
+                    bare += [] if member.__doc__ else [f"{one.__qualname__}.{name}"]
+    assert seen > 1000
+    assert bare == []
 
 
 def test_every_key_that_is_cited_is_in_the_list_of_references() -> None:

@@ -110,7 +110,6 @@ class ExplicitSolver(Solver):
         """Do nothing: there is no memory outside Python."""
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield the recorded states."""
         problem, inertia, declared = self._problem, self._inertia, self._declared
         first = FIRST / declared.records
         u = start.u

@@ -104,7 +104,6 @@ class EventSolver(Solver):
         return f"event-driven, ksp {ksp.getType()}, pc {ksp.getPC().getType()}, {self._updates} changes per factor"
 
     def destroy(self) -> None:
-        """Free the PETSc objects."""
         self.solver.destroy()
 
     @classmethod

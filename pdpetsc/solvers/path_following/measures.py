@@ -98,7 +98,6 @@ class StretchMeasure(Measure):
         return math.inf
 
     def at_end(self, u: Float) -> bool:
-        """Return False."""
         return False
 
 
@@ -121,7 +120,6 @@ class OpeningMeasure(Measure):
                 self._weights[: cloud.n_owned, axis] += sign * share / float(total(cloud.comm, float(share.sum())))
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the opening."""
         return Constraint(self._weights, 0.0, u, load), False
 
     def reached(self, u: Float, load: float) -> float:
@@ -182,7 +180,6 @@ class DissipationMeasure(Measure):
         return math.inf
 
     def at_end(self, u: Float) -> bool:
-        """Return False."""
         return False
 
 

@@ -22,7 +22,7 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
     size = dim * dim
 
     @compiled
-    def assemble(layout, point_ptr, members, h, g, volume, A, diag, off):  # type: ignore[no-untyped-def]
+    def assemble(layout, point_ptr, members, h, g, volume, A, diag, off):
         behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int32)
         # Columns behind different mirror planes are summed separately, and multiplied by their signs at the end.
@@ -83,7 +83,7 @@ def add_blocks_kernel(dim: int) -> Callable[..., Any]:
     size = dim * dim
 
     @compiled
-    def add_blocks(row_blocks, received, start, slot, width, in_diag, diag, off):  # type: ignore[no-untyped-def]
+    def add_blocks(row_blocks, received, start, slot, width, in_diag, diag, off):
         b = 0
         offset = 0
         for r in range(row_blocks.size):
@@ -111,7 +111,7 @@ def add_diagonal_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def add_diagonal(ptr, scalars, values):  # type: ignore[no-untyped-def]
+    def add_diagonal(ptr, scalars, values):
         for row in range(ptr.size - 1):
             n = ptr[row + 1] - ptr[row]
             for i in range(dim):

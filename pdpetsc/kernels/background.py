@@ -12,7 +12,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def root(parent, i):  # type: ignore[no-untyped-def]
+def root(parent, i):
     """Return the representative of ``i``, with path halving."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -21,7 +21,7 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def join(parent, i, j):  # type: ignore[no-untyped-def]
+def join(parent, i, j):
     """Join ``i`` and ``j``: both have the smaller representative."""
     one = root(parent, i)
     two = root(parent, j)
@@ -32,7 +32,7 @@ def join(parent, i, j):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def join_within_cells(indptr, neighbours, kept, cell, parent):  # type: ignore[no-untyped-def]
+def join_within_cells(indptr, neighbours, kept, cell, parent):
     """Join the ends of kept bonds within a cell in ``parent`` (n_local,); if ``kept`` is empty, all bonds are kept."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
@@ -44,7 +44,7 @@ def join_within_cells(indptr, neighbours, kept, cell, parent):  # type: ignore[n
 
 
 @compiled
-def join_corners(indptr, neighbours, kept, order, element, nodes, parent):  # type: ignore[no-untyped-def]
+def join_corners(indptr, neighbours, kept, order, element, nodes, parent):
     """Join in ``parent`` (n_elements * n_corners,) the corners at one node of elements that a kept bond connects.
 
     ``nodes`` (n_elements, n_corners) are the nodes of the grid at the corners; a particle with negative ``element``
@@ -79,7 +79,7 @@ def interpolate_kernel(dim: int) -> Callable[..., Any]:
     n_corners = 2**dim
 
     @compiled
-    def interpolate(element, at, corners, wraps, lengths, nodal, strain, u):  # type: ignore[no-untyped-def]
+    def interpolate(element, at, corners, wraps, lengths, nodal, strain, u):
         for i in range(element.size):
             e = element[i]
             for m in range(dim):
@@ -108,7 +108,7 @@ def restrict_kernel(dim: int) -> Callable[..., Any]:
     n_corners = 2**dim
 
     @compiled
-    def restrict(element, at, corners, wraps, lengths, f, nodal, moment):  # type: ignore[no-untyped-def]
+    def restrict(element, at, corners, wraps, lengths, f, nodal, moment):
         for i in range(element.size):
             e = element[i]
             for q in range(n_corners):
@@ -135,7 +135,7 @@ def tied_kernel(dim: int) -> Callable[..., Any]:
     n_corners = 2**dim
 
     @compiled
-    def tied(particles, element, at, blocks, begin, K):  # type: ignore[no-untyped-def]
+    def tied(particles, element, at, blocks, begin, K):
         weight = np.empty(n_corners)
         for s in range(particles.size):
             i = particles[s]
@@ -154,7 +154,7 @@ def tied_kernel(dim: int) -> Callable[..., Any]:
 
 
 @compiled
-def add_elements(slots, K, values):  # type: ignore[no-untyped-def]
+def add_elements(slots, K, values):
     """Add the blocks of elements (n, corners, corners, dim, dim) to ``values[slots]`` (n_blocks, dim, dim)."""
     n, corners, dim = K.shape[0], K.shape[1], K.shape[3]
     for e in range(n):
@@ -167,7 +167,7 @@ def add_elements(slots, K, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_at(position, blocks, values):  # type: ignore[no-untyped-def]
+def add_at(position, blocks, values):
     """Add blocks (n, dim, dim) to ``values[position]``."""
     for b in range(position.size):
         for m in range(blocks.shape[1]):
@@ -176,7 +176,7 @@ def add_at(position, blocks, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def scalar_values(block_ptr, blocks, values):  # type: ignore[no-untyped-def]
+def scalar_values(block_ptr, blocks, values):
     """Write blocks (n_blocks, dim, dim) as the values of scalar CSR rows of the same matrix."""
     dim = blocks.shape[1]
     for a in range(block_ptr.size - 1):
@@ -189,7 +189,7 @@ def scalar_values(block_ptr, blocks, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def sum_in_elements(element, values, sums):  # type: ignore[no-untyped-def]
+def sum_in_elements(element, values, sums):
     """Add the rows of ``values`` (n, m) to those of ``sums`` (n_elements, m)."""
     for i in range(element.size):
         for m in range(values.shape[1]):

@@ -18,7 +18,7 @@ from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @compiled
-def direction(i, j, x, u, dim, finite):  # type: ignore[no-untyped-def]
+def direction(i, j, x, u, dim, finite):
     """Return the components of the direction of bond ``ij``, its reference and its current length."""
     n_0, n_1, n_2 = difference(i, j, x, dim)
     reference = np.sqrt(n_0 * n_0 + n_1 * n_1 + n_2 * n_2)
@@ -38,7 +38,7 @@ def lengths_kernel(dim: int) -> Callable[..., Any]:
     """Return ``lengths(indptr, neighbours, x, length)``: writes the reference length of every bond."""
 
     @compiled
-    def lengths(indptr, neighbours, x, length):  # type: ignore[no-untyped-def]
+    def lengths(indptr, neighbours, x, length):
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 square = 0.0
@@ -55,7 +55,7 @@ def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the smallest length, or NaN."""
 
     @compiled
-    def elongation(indptr, neighbours, x, u, e):  # type: ignore[no-untyped-def]
+    def elongation(indptr, neighbours, x, u, e):
         least = np.inf
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
@@ -78,7 +78,7 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``force(indptr, neighbours, x, u, tension, f)``: adds ``t_ij n_ij`` to ``j`` and its opposite to ``i``."""
 
     @compiled
-    def force(indptr, neighbours, x, u, tension, f):  # type: ignore[no-untyped-def]
+    def force(indptr, neighbours, x, u, tension, f):
         for i in range(indptr.size - 1):
             own_0, own_1, own_2 = 0.0, 0.0, 0.0
             for b in range(indptr[i], indptr[i + 1]):
@@ -92,7 +92,7 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
 
 @compiled
-def sums_of_products(indptr, a, b, sums):  # type: ignore[no-untyped-def]
+def sums_of_products(indptr, a, b, sums):
     """Write ``sum_j a_ij b_ij`` over the bonds of each particle."""
     for i in range(indptr.size - 1):
         value = 0.0
@@ -111,7 +111,7 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def rows(layout, ends, x, u, stiffness, tension, diag, off):  # type: ignore[no-untyped-def]
+    def rows(layout, ends, x, u, stiffness, tension, diag, off):
         behind, signs, entry_ptr, entries = layout.behind, layout.signs, layout.entry_ptr, layout.entries
         slot = np.zeros(entry_ptr.size, np.int32)
         n = np.empty(3)
@@ -143,7 +143,7 @@ def pair_elongation_kernel(dim: int) -> Callable[..., Any]:
     """Return ``elongation(ends, n, u, e)``: ``e = n . (u_j - u_i)`` for pairs with fixed directions ``n``."""
 
     @compiled
-    def elongation(ends, n, u, e):  # type: ignore[no-untyped-def]
+    def elongation(ends, n, u, e):
         for p in range(e.size):
             value = 0.0
             for m in range(dim):
@@ -154,7 +154,7 @@ def pair_elongation_kernel(dim: int) -> Callable[..., Any]:
 
 
 @compiled
-def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
+def first_failure(e, rate, limit, able):
     """Return the smallest step along ``rate`` at which an ``able`` bond reaches its limit; infinity if none does."""
     least = np.inf
     for b in range(e.size):
@@ -166,7 +166,7 @@ def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def first_of_tied(e, rate, limit, able, step, tolerance, order):  # type: ignore[no-untyped-def]
+def first_of_tied(e, rate, limit, able, step, tolerance, order):
     """Return the tied bond of smallest ``order``, -1 if no bond is tied.
 
     A bond is tied if it is ``able``, grows, and is within a relative tolerance of its limit after a step.

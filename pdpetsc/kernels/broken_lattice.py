@@ -17,7 +17,7 @@ from pdpetsc.kernels.lattice_stencils import row_gradient
 
 
 @compiled
-def lacking_steps(cell, indptr, neighbours, weight, number_of, reach, ptr, lacking, w):  # type: ignore[no-untyped-def]
+def lacking_steps(cell, indptr, neighbours, weight, number_of, reach, ptr, lacking, w):
     """Write the steps that each family lacks, and the weights ``w`` of the steps; return their largest deviation.
 
     A bond without weight is lacking. ``number_of[step + reach]`` is the number of a step in cells.
@@ -43,7 +43,7 @@ def lacking_steps(cell, indptr, neighbours, weight, number_of, reach, ptr, lacki
 
 
 @compiled
-def subtract_lacking(ptr, lacking, of_step, sums):  # type: ignore[no-untyped-def]
+def subtract_lacking(ptr, lacking, of_step, sums):
     """Subtract values of steps (n_steps, n) from the sums of the families that lack them (n_owned, n)."""
     for i in range(ptr.size - 1):
         for b in range(ptr[i], ptr[i + 1]):
@@ -52,7 +52,7 @@ def subtract_lacking(ptr, lacking, of_step, sums):  # type: ignore[no-untyped-de
 
 
 @compiled
-def families_alike(cell, indptr, neighbours, stiffness, number_of, reach, ptr, lacking, w, same, c):  # type: ignore[no-untyped-def]
+def families_alike(cell, indptr, neighbours, stiffness, number_of, reach, ptr, lacking, w, same, c):
     """Write ``c_i`` with ``s_ij = c_i w_ij``, 0 for a family without one; ``same`` is a relative tolerance."""
     of_step = np.empty(w.size)
     for i in range(indptr.size - 1):
@@ -74,7 +74,7 @@ def families_alike(cell, indptr, neighbours, stiffness, number_of, reach, ptr, l
 
 
 @compiled
-def row_moments(s, n, at, plus, minus, wx, wy, wz, steps, wxi, ptr, lacking, u, dim, buffer, M):  # type: ignore[no-untyped-def]
+def row_moments(s, n, at, plus, minus, wx, wy, wz, steps, wxi, ptr, lacking, u, dim, buffer, M):
     """Write ``M = sum_j w eta (x) xi`` (dim dim, n) of the n cells from s on."""
     for m in range(dim):
         row_gradient(s, n, 0, plus.size, plus, minus, wx, wy, wz, u[m], dim, buffer)
@@ -100,7 +100,7 @@ def broken_gradient_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def gradient(starts, lengths, at, table, ptr, lacking, K_inverse, u, H):  # type: ignore[no-untyped-def]
+    def gradient(starts, lengths, at, table, ptr, lacking, K_inverse, u, H):
         plus, minus, wx, wy, wz, steps, wxi, _ = table
         longest = lengths.max() if lengths.size else 0
         M, buffer = np.empty((dim * dim, longest)), np.empty((3, longest))
@@ -130,9 +130,7 @@ def broken_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[...,
     """
 
     @compiled
-    def force(  # type: ignore[no-untyped-def]
-        starts, lengths, at, table, ptr, lacking, K_inverse, volume, stress, of, scale, of_control, u, f
-    ):
+    def force(starts, lengths, at, table, ptr, lacking, K_inverse, volume, stress, of, scale, of_control, u, f):
         plus, minus, wx, wy, wz, steps, wxi, w = table
         longest = lengths.max() if lengths.size else 0
         M, Q, buffer = np.empty((dim * dim, longest)), np.empty((dim * dim, longest)), np.empty((3, longest))
@@ -233,7 +231,7 @@ def broken_blocks_kernel(dim: int) -> Callable[..., Any]:
     n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
 
     @compiled
-    def add(particles, cell, at, table, ptr, lacking, K_inverse, volume, A, of, blocks):  # type: ignore[no-untyped-def]
+    def add(particles, cell, at, table, ptr, lacking, K_inverse, volume, A, of, blocks):
         _, _, _, _, _, steps, wxi, _ = table
         WA = np.empty((n_pairs, size))
         g, centre = np.empty(dim), np.empty(dim)

@@ -10,7 +10,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def row(values, i, dim):  # type: ignore[no-untyped-def]
+def row(values, i, dim):
     """Return the components of row ``i``."""
     second, third = 0.0, 0.0
     if dim > 1:
@@ -21,7 +21,7 @@ def row(values, i, dim):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def difference(i, j, u, dim):  # type: ignore[no-untyped-def]
+def difference(i, j, u, dim):
     """Return the components of ``u_j - u_i``."""
     second, third = 0.0, 0.0
     if dim > 1:
@@ -32,7 +32,7 @@ def difference(i, j, u, dim):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def applied(A, v_0, v_1, v_2, dim):  # type: ignore[no-untyped-def]
+def applied(A, v_0, v_1, v_2, dim):
     """Return the components of ``A v`` for a tensor A (dim, dim)."""
     first, second, third = A[0, 0] * v_0, 0.0, 0.0
     if dim > 1:
@@ -46,7 +46,7 @@ def applied(A, v_0, v_1, v_2, dim):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_to(f, i, value_0, value_1, value_2, dim):  # type: ignore[no-untyped-def]
+def add_to(f, i, value_0, value_1, value_2, dim):
     """Add a vector to row ``i`` of ``f``."""
     f[i, 0] += value_0
     if dim > 1:

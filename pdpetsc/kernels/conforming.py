@@ -17,7 +17,7 @@ def linear_moments_kernel(dim: int) -> Callable[..., Any]:
     width = dim + 1
 
     @compiled
-    def moments(point_ptr, members, x, size, M):  # type: ignore[no-untyped-def]
+    def moments(point_ptr, members, x, size, M):
         phi = np.empty(width)
         phi[0] = 1.0
         for p in range(point_ptr.size - 1):
@@ -45,7 +45,7 @@ def remainder_kernel(dim: int, columns: int, gathered: int) -> Callable[..., Any
     width = dim + 1
 
     @compiled
-    def rest(point_ptr, members, x, size, inverse, factor, values, out):  # type: ignore[no-untyped-def]
+    def rest(point_ptr, members, x, size, inverse, factor, values, out):
         phi = np.empty(width)
         phi[0] = 1.0
         b = np.empty((width, columns))

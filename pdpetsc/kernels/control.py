@@ -24,7 +24,7 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f, energy):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f, energy):
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
         for q in range(particles.size):
@@ -66,7 +66,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def matrix(layout, point_ptr, members, stiffness, weight, K_inverse, x, diag, off):  # type: ignore[no-untyped-def]
+    def matrix(layout, point_ptr, members, stiffness, weight, K_inverse, x, diag, off):
         behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int64)
         left = np.empty(dim)
@@ -120,7 +120,7 @@ def directed_force_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def force(particles, indptr, neighbours, S, g, x, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, S, g, x, u, f):
         H = np.empty((dim, dim))
         R = np.empty((dim, dim))
         z = np.empty(dim)
@@ -172,7 +172,7 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def matrix(layout, point_ptr, members, S, g, T, x, diag, off):  # type: ignore[no-untyped-def]
+    def matrix(layout, point_ptr, members, S, g, T, x, diag, off):
         behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int64)
         blocks = np.empty((widest_row(layout), dim, dim))
@@ -236,7 +236,7 @@ def average_force_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def force(particles, point_ptr, members, b, c, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, point_ptr, members, b, c, u, f):
         energy = 0.0
         for q in range(particles.size):
             i = particles[q]

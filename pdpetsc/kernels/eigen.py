@@ -10,7 +10,7 @@ SWEEPS = 30
 
 
 @compiled
-def symmetric_eigen(S, values, vectors):  # type: ignore[no-untyped-def]
+def symmetric_eigen(S, values, vectors):
     """Diagonalise the symmetric ``S`` (overwritten) by cyclic Jacobi rotations: ``S = sum_a values_a N_a (x) N_a``.
 
     Columns of ``vectors`` are the ``N_a``. Jacobi rotations have full relative accuracy for nearly equal eigenvalues,

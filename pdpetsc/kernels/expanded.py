@@ -20,7 +20,7 @@ def pull_back_kernel(inside: int, shown: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def pull_back(elastic, inverse, J, points, A):  # type: ignore[no-untyped-def]
+    def pull_back(elastic, inverse, J, points, A):
         half = np.empty((inside, shown))
         for row in range(points.size):
             p = points[row]
@@ -47,7 +47,7 @@ def pull_back_stress_kernel(inside: int) -> Callable[..., Any]:
     """Return ``pull_back(elastic, inverse, J, P)``: ``P_im = J (P_e)_ia (F^-1)_ma`` at the points of a material."""
 
     @compiled
-    def pull_back(elastic, inverse, J, P):  # type: ignore[no-untyped-def]
+    def pull_back(elastic, inverse, J, P):
         for row in range(J.size):
             for i in range(inside):
                 for m in range(inside):

@@ -18,7 +18,7 @@ def shape_kernel(dim: int) -> Callable[..., Any]:
     """Return ``moments(owner, point_ptr, members, weight, x, K)``: ``K_p = sum_k weight_pk xi_pk (x) xi_pk``."""
 
     @compiled
-    def moments(owner, point_ptr, members, weight, x, K):  # type: ignore[no-untyped-def]
+    def moments(owner, point_ptr, members, weight, x, K):
         for p in range(owner.size):
             i = owner[p]
             for m in range(dim):
@@ -50,7 +50,7 @@ def inverses(K: Float) -> Float:
 
 
 @compiled
-def _invert(K, found):  # type: ignore[no-untyped-def]
+def _invert(K, found):
     """Write ``L^-T D^-1 L^-1`` of ``K_p = L D L^T`` to ``found``; return True if all are positive definite."""
     dim = K.shape[1]
     L, D = np.empty((dim, dim)), np.empty(dim)
@@ -92,7 +92,7 @@ def weights_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def weights(owner, point_ptr, members, weight, x, K_inverse, g):  # type: ignore[no-untyped-def]
+    def weights(owner, point_ptr, members, weight, x, K_inverse, g):
         for p in range(owner.size):
             i = owner[p]
             first = point_ptr[p]
@@ -115,7 +115,7 @@ def gradient_kernel(dim: int) -> Callable[..., Any]:
     """Return ``gradient(point_ptr, members, g, u, H)``: ``H_p = sum_k (u_k - u_i) (x) g_pk``."""
 
     @compiled
-    def gradient(point_ptr, members, g, u, H):  # type: ignore[no-untyped-def]
+    def gradient(point_ptr, members, g, u, H):
         h = np.empty((dim, dim))
         for p in range(point_ptr.size - 1):
             first = point_ptr[p]
@@ -143,7 +143,7 @@ def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """
 
     @compiled
-    def divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u):  # type: ignore[no-untyped-def]
+    def divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u):
         s = np.empty((dim, dim))
         for p in range(point_ptr.size - 1):
             first = point_ptr[p]
@@ -178,7 +178,7 @@ def residual_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def residual(owner, point_ptr, members, x, u, F, square, Z):  # type: ignore[no-untyped-def]
+    def residual(owner, point_ptr, members, x, u, F, square, Z):
         for p in range(owner.size):
             i = owner[p]
             total = 0.0
@@ -206,7 +206,7 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
     """Return ``smallest(F)``: the smallest ``det F_p`` (infinity for no points, NaN counts as the smallest)."""
 
     @compiled
-    def smallest(F):  # type: ignore[no-untyped-def]
+    def smallest(F):
         lowest = np.inf
         for p in range(F.shape[0]):
             if dim == 1:
@@ -229,7 +229,7 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
 
 
 @compiled
-def bonds_of_entries(owner, point_ptr, members, indptr, neighbours, n_local, bond):  # type: ignore[no-untyped-def]
+def bonds_of_entries(owner, point_ptr, members, indptr, neighbours, n_local, bond):
     """Write for every entry of the operator the bond from the owner of its point to its member, -1 for the owner."""
     slot = np.full(n_local, -1, np.int64)
     for p in range(owner.size):
@@ -246,7 +246,7 @@ def bond_family_sizes_kernel(dim: int) -> Callable[..., Any]:
     """Return ``sizes(indptr, neighbours, x, radius, size)``: number of members of ``i`` within ``radius`` of ``j``."""
 
     @compiled
-    def sizes(indptr, neighbours, x, radius, size):  # type: ignore[no-untyped-def]
+    def sizes(indptr, neighbours, x, radius, size):
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
@@ -267,7 +267,7 @@ def bond_families_kernel(dim: int) -> Callable[..., Any]:
     """Return ``list(indptr, neighbours, x, radius, point_ptr, bonds)``: bonds to these members, in family order."""
 
     @compiled
-    def members(indptr, neighbours, x, radius, point_ptr, bonds):  # type: ignore[no-untyped-def]
+    def members(indptr, neighbours, x, radius, point_ptr, bonds):
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
@@ -293,7 +293,7 @@ def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def moments(indptr, neighbours, x, volume, weight, radius, rest, M):  # type: ignore[no-untyped-def]
+    def moments(indptr, neighbours, x, volume, weight, radius, rest, M):
         xi = np.empty(dim)
         for i in range(indptr.size - 1):
             first, last = indptr[i], indptr[i + 1]

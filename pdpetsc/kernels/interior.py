@@ -8,7 +8,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def distance(i, j, x):  # type: ignore[no-untyped-def]
+def distance(i, j, x):
     """Return the distance of two particles."""
     square = 0.0
     for m in range(x.shape[1]):
@@ -17,7 +17,7 @@ def distance(i, j, x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def family_moments(indptr, neighbours, x, volume, reach, count, first, second):  # type: ignore[no-untyped-def]
+def family_moments(indptr, neighbours, x, volume, reach, count, first, second):
     """Write the number of members, ``sum_j V_j xi`` and ``sum_j V_j xi (x) xi`` of each family."""
     dim = x.shape[1]
     for i in range(indptr.size - 1):
@@ -36,7 +36,7 @@ def family_moments(indptr, neighbours, x, volume, reach, count, first, second): 
 
 
 @compiled
-def largest_of_members(indptr, neighbours, x, reach, values, largest):  # type: ignore[no-untyped-def]
+def largest_of_members(indptr, neighbours, x, reach, values, largest):
     """Increase ``largest`` (n_owned,) to the largest value (n_local,) of the members of each family."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
@@ -46,7 +46,7 @@ def largest_of_members(indptr, neighbours, x, reach, values, largest):  # type: 
 
 
 @compiled
-def lacks_members(indptr, neighbours, x, reach, direction, beside, lacks):  # type: ignore[no-untyped-def]
+def lacks_members(indptr, neighbours, x, reach, direction, beside, lacks):
     """Write whether no member is further than ``beside`` along a direction of each particle (n_owned, dim)."""
     for i in range(indptr.size - 1):
         lacks[i] = beside[i] > 0.0
@@ -60,7 +60,7 @@ def lacks_members(indptr, neighbours, x, reach, direction, beside, lacks):  # ty
 
 
 @compiled
-def marked_within(indptr, neighbours, x, reach, marked, found):  # type: ignore[no-untyped-def]
+def marked_within(indptr, neighbours, x, reach, marked, found):
     """Write whether a marked member (n_local,) is within the reach of each particle."""
     for i in range(indptr.size - 1):
         found[i] = False

@@ -34,14 +34,14 @@ class LagrangianLoops(NamedTuple):
 
 
 @compiled
-def first_difference(x, y):  # type: ignore[no-untyped-def]
+def first_difference(x, y):
     """Return ``(ln x - ln y) / (2 (x - y))``."""
     r = (x - y) / y
     return 0.5 * (np.log1p(r) / r if abs(r) > 1e-12 else 1.0 - 0.5 * r) / y
 
 
 @compiled
-def second_difference(x, y, z):  # type: ignore[no-untyped-def]
+def second_difference(x, y, z):
     """Return the second divided difference of ``1/2 ln`` at three positive values."""
     low, high = min(x, y, z), max(x, y, z)
     middle = x + y + z - low - high
@@ -67,7 +67,7 @@ def lagrangian_loops(dim: int) -> LagrangianLoops:
     """Return the loops for dimension ``dim``."""
 
     @compiled
-    def strain(F, select, E, c, N):  # type: ignore[no-untyped-def]
+    def strain(F, select, E, c, N):
         C = np.empty((dim, dim))
         for r in range(select.size):
             right_axes(F[select[r]], dim, C, c[r], N[r])
@@ -80,7 +80,7 @@ def lagrangian_loops(dim: int) -> LagrangianLoops:
                         E[r, i, j] += 0.5 * np.log(c[r, a]) * N[r, i, a] * N[r, j, a]
 
     @compiled
-    def stress(F, select, T, c, N, P):  # type: ignore[no-untyped-def]
+    def stress(F, select, T, c, N, P):
         turned, S = np.empty((dim, dim)), np.empty((dim, dim))
         for r in range(select.size):
             p = select[r]
@@ -105,7 +105,7 @@ def lagrangian_loops(dim: int) -> LagrangianLoops:
                     P[p, i, j] = value
 
     @compiled
-    def tangent(F, select, T, moduli, c, N, A):  # type: ignore[no-untyped-def]
+    def tangent(F, select, T, moduli, c, N, A):
         turned, first = np.empty((dim, dim)), np.empty((dim, dim))
         second, FN, S = np.empty((dim, dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
         one, two = np.empty((dim, dim, dim, dim)), np.empty((dim, dim, dim, dim))

@@ -16,7 +16,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: ignore[no-untyped-def]
+def family_keys(cell, at, steps, keys_of_steps, good, key, usual):
     """Write a key of the members of the family of every own particle, and a mask of families with good members only."""
     for i in range(key.size):
         c = cell[i]
@@ -31,7 +31,7 @@ def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: igno
 
 
 @compiled
-def order_keys(cell, at, steps, keys_of_steps, order, key):  # type: ignore[no-untyped-def]
+def order_keys(cell, at, steps, keys_of_steps, order, key):
     """Combine the key of every own particle with the ``order`` of the members of its family."""
     sorted_steps = np.empty(steps.size, np.int64)
     for i in range(key.size):
@@ -52,7 +52,7 @@ def order_keys(cell, at, steps, keys_of_steps, order, key):  # type: ignore[no-u
 
 
 @compiled
-def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-untyped-def]
+def families_of_cells(particles, cell, at, steps, order):
     """Return the families of selected particles in CSR form, each sorted by ``order``."""
     indptr = np.zeros(particles.size + 1, np.int64)
     for q in range(particles.size):
@@ -78,7 +78,7 @@ def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-unt
 
 
 @compiled
-def cells_with_any(cells, at, steps, marked, found):  # type: ignore[no-untyped-def]
+def cells_with_any(cells, at, steps, marked, found):
     """Write a mask of cells with a marked particle at one of the steps."""
     for q in range(cells.size):
         found[q] = False
@@ -90,7 +90,7 @@ def cells_with_any(cells, at, steps, marked, found):  # type: ignore[no-untyped-
 
 
 @compiled
-def onto_cells(cell, values, on_cells):  # type: ignore[no-untyped-def]
+def onto_cells(cell, values, on_cells):
     """Write vectors of particles (n, components) to their cells (components, n_cells)."""
     for i in range(values.shape[0]):
         for m in range(values.shape[1]):
@@ -98,7 +98,7 @@ def onto_cells(cell, values, on_cells):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_from_cells(cell, on_cells, values):  # type: ignore[no-untyped-def]
+def add_from_cells(cell, on_cells, values):
     """Add vectors on cells (components, n_cells) to those of their particles (n, components), and clear them."""
     for i in range(values.shape[0]):
         for m in range(values.shape[1]):
@@ -107,7 +107,7 @@ def add_from_cells(cell, on_cells, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def row_gradient(s, n, first, last, plus, minus, gx, gy, gz, v, dim, buffer):  # type: ignore[no-untyped-def]
+def row_gradient(s, n, first, last, plus, minus, gx, gy, gz, v, dim, buffer):
     """Write ``sum_e (v_+ - v_-) g_e`` of one component, for the n cells from s on, to the ``dim`` rows of ``buffer``.
 
     The entries are those from ``first`` to ``last``; entry e reads the cells at the offsets ``plus[e]`` and
@@ -166,7 +166,7 @@ def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def gradient(starts, lengths, pattern, at, first_point, lists, gx, gy, gz, u, H):  # type: ignore[no-untyped-def]
+    def gradient(starts, lengths, pattern, at, first_point, lists, gx, gy, gz, u, H):
         list_ptr, entry_ptr, plus, minus = lists
         buffer = np.empty((3, lengths.max() if lengths.size else 0))
         for q in range(starts.size):
@@ -195,7 +195,7 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
     """
 
     @compiled
-    def force(  # type: ignore[no-untyped-def]
+    def force(
         starts, lengths, pattern, at, first_point, lists, gx, gy, gz, centre, volume, stress, of, weight, scale, K, u, f
     ):
         list_ptr, entry_ptr, plus, minus = lists
@@ -291,7 +291,7 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
     """Return ``energy(..., energies)``: ``1/2 c_i (sum_j w_ij |eta_ij|^2 - H_i K : H_i)`` of the particles in rows."""
 
     @compiled
-    def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u, energies):  # type: ignore[no-untyped-def]
+    def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u, energies):
         list_ptr, entry_ptr, plus, minus = lists
         longest = lengths.max() if lengths.size else 0
         buffer, twice = np.empty((3, longest)), np.empty(longest)
@@ -331,7 +331,7 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
     """
 
     @compiled
-    def bonds(starts, lengths, pattern, entry_ptr, steps, xi, reference, k, u, du, f):  # type: ignore[no-untyped-def]
+    def bonds(starts, lengths, pattern, entry_ptr, steps, xi, reference, k, u, du, f):
         longest = lengths.max() if lengths.size else 0
         n_0, n_1, n_2 = np.empty(longest), np.empty(longest), np.empty(longest)
         own_0, own_1, own_2 = np.empty(longest), np.empty(longest), np.empty(longest)
@@ -423,7 +423,7 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
 
 
 @compiled
-def elongated(e, cell, steps, xi, reference, u, dim, finite):  # type: ignore[no-untyped-def]
+def elongated(e, cell, steps, xi, reference, u, dim, finite):
     """Return the elongation of entry e of a cell, and three components of ``xi + eta``, or ``xi`` unless ``finite``."""
     other = cell + steps[e]
     y_0, y_1, y_2 = xi[e, 0], 0.0, 0.0
@@ -439,7 +439,7 @@ def elongated(e, cell, steps, xi, reference, u, dim, finite):  # type: ignore[no
 
 
 @compiled
-def bond_block(e, cell, steps, xi, reference, k, u, dim, finite, y, block):  # type: ignore[no-untyped-def]
+def bond_block(e, cell, steps, xi, reference, k, u, dim, finite, y, block):
     """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only if ``finite``; y is (3,)."""
     elongation, y[0], y[1], y[2] = elongated(e, cell, steps, xi, reference, u, dim, finite)
     square = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
@@ -455,7 +455,7 @@ def rows_bond_energy_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``energy(..., energies)``: writes ``1/2 sum_j k e^2`` (n_owned,) of the particles in rows."""
 
     @compiled
-    def energy(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energies):  # type: ignore[no-untyped-def]
+    def energy(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energies):
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 value = 0.0
@@ -472,7 +472,7 @@ def rows_bond_moments_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``moments(..., moment)``: writes ``sum_j t n (x) xi`` (n_owned, dim, dim) of the particles in rows."""
 
     @compiled
-    def moments(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, moment):  # type: ignore[no-untyped-def]
+    def moments(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, moment):
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
@@ -495,7 +495,7 @@ def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
     """Return ``least(starts, lengths, pattern, entry_ptr, steps, xi, u)``: smallest current length of their bonds."""
 
     @compiled
-    def least(starts, lengths, pattern, entry_ptr, steps, xi, u):  # type: ignore[no-untyped-def]
+    def least(starts, lengths, pattern, entry_ptr, steps, xi, u):
         second, third = min(1, dim - 1), dim - 1
         u0, u1, u2 = u[0], u[second], u[third]
         found = np.full(lengths.max() if lengths.size else 0, np.inf)
@@ -531,7 +531,7 @@ def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``moduli(...)``: ``D_i = sum_j (k n n + t / |xi + eta| (I - n n)) xi xi`` of the particles in rows."""
 
     @compiled
-    def moduli(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, D):  # type: ignore[no-untyped-def]
+    def moduli(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, D):
         y, block = np.empty(3), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
@@ -560,7 +560,7 @@ def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
     n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
 
     @compiled
-    def add(starts, lengths, pattern, at, first_point, lists, g, centre, volume, A, of, blocks):  # type: ignore[no-untyped-def]
+    def add(starts, lengths, pattern, at, first_point, lists, g, centre, volume, A, of, blocks):
         list_ptr, entry_ptr, plus, minus = lists
         longest = lengths.max() if lengths.size else 0
         WA = np.empty((n_pairs, size, longest))
@@ -616,7 +616,7 @@ def rows_control_blocks_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def add(starts, lengths, pattern, at, lists, g, centre, weight, scale, K, diagonal):  # type: ignore[no-untyped-def]
+    def add(starts, lengths, pattern, at, lists, g, centre, weight, scale, K, diagonal):
         list_ptr, entry_ptr, plus, minus = lists
         out = diagonal[0]
         for q in range(starts.size):
@@ -647,7 +647,7 @@ def rows_bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``add(..., blocks)``: ``k n n + t / |xi + eta| (I - n n)`` of bonds in rows, on both of their ends."""
 
     @compiled
-    def add(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, blocks):  # type: ignore[no-untyped-def]
+    def add(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, blocks):
         y, block = np.empty(3), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):

@@ -33,12 +33,12 @@ class Returned(NamedTuple):
 
 
 @compiled
-def _new_returned():  # type: ignore[no-untyped-def]
+def _new_returned():
     return Returned(np.zeros((3, BLOCK)), np.zeros((3, BLOCK)), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK))
 
 
 @compiled
-def _return(F, points, history, constants, frame, back):  # type: ignore[no-untyped-def]
+def _return(F, points, history, constants, frame, back):
     """Compute the frames of points and return to the yield surface; the strains of the frame become elastic."""
     lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
     dim, n = F.shape[1], points.size
@@ -70,7 +70,7 @@ def _return(F, points, history, constants, frame, back):  # type: ignore[no-unty
 
 
 @compiled
-def linear_out_of_plane(F, constants, history, P):  # type: ignore[no-untyped-def]
+def linear_out_of_plane(F, constants, history, P):
     """Write the out-of-plane stress of every point of a body in plane strain."""
     select, frame, back = np.arange(len(F)), new_frame(2), _new_returned()
     for first in range(0, len(F), BLOCK):
@@ -80,7 +80,7 @@ def linear_out_of_plane(F, constants, history, P):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
+def _stress(F, select, constants, history, P):
     frame, back = new_frame(F.shape[1]), _new_returned()
     for first in range(0, select.size, BLOCK):
         points = select[first : first + BLOCK]
@@ -89,7 +89,7 @@ def _stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
+def _tangent(F, select, constants, history, A):
     dim, mu, frame, back = F.shape[1], constants[1], new_frame(F.shape[1]), _new_returned()
     moduli, shear = np.empty_like(frame.M), np.empty_like(frame.M)
     third = 0.0 if dim == 1 else 1.0 / 3.0
@@ -110,7 +110,7 @@ def _tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
+def _energy(F, select, constants, history, psi):
     lam, mu, y, H = constants[0], constants[1], constants[2], constants[3]
     frame, back, last = new_frame(F.shape[1]), _new_returned(), history.shape[1] - 1
     for first in range(0, select.size, BLOCK):
@@ -124,7 +124,7 @@ def _energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _commit(F, select, constants, history):  # type: ignore[no-untyped-def]
+def _commit(F, select, constants, history):
     dim, frame, back, last = F.shape[1], new_frame(F.shape[1]), _new_returned(), history.shape[1] - 1
     for first in range(0, select.size, BLOCK):
         points, block = select[first : first + BLOCK], history[first : first + BLOCK]

@@ -41,7 +41,7 @@ def trial(F: Any, select: Any, history: Any) -> Trial:
 
 
 @compiled
-def _trial(F, select, history, found):  # type: ignore[no-untyped-def]
+def _trial(F, select, history, found):
     frame, dim = new_frame(F.shape[1]), F.shape[1]
     for first in range(0, select.size, BLOCK):
         points = select[first : first + BLOCK]
@@ -57,7 +57,7 @@ def _trial(F, select, history, found):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _frame(trial, first, last, frame):  # type: ignore[no-untyped-def]
+def _frame(trial, first, last, frame):
     """Copy the points ``first`` to ``last`` of ``trial``."""
     dim = frame.n.shape[0]
     for a in range(dim):
@@ -70,7 +70,7 @@ def _frame(trial, first, last, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def stress(select, tau, trial, P):  # type: ignore[no-untyped-def]
+def stress(select, tau, trial, P):
     """Write P at points of P (all points, dim, dim) from principal Kirchhoff stresses (n, dim or 3)."""
     frame = new_frame(P.shape[1])
     for first in range(0, select.size, BLOCK):
@@ -81,7 +81,7 @@ def stress(select, tau, trial, P):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rows(values, first, n, rows):  # type: ignore[no-untyped-def]
+def _rows(values, first, n, rows):
     """Write values (all, k) of a block of points as rows."""
     for a in range(values.shape[1]):
         for r in range(n):
@@ -89,7 +89,7 @@ def _rows(values, first, n, rows):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def tangent(select, tau, moduli, shear, trial, A):  # type: ignore[no-untyped-def]
+def tangent(select, tau, moduli, shear, trial, A):
     """Write A at points of A (all points, dim, dim, dim, dim).
 
     ``moduli`` (n, k, k) is ``d tau_a / d eps_b``, ``shear`` (n, dim, dim) ``(tau_a - tau_b) / (eps_a - eps_b)``.
@@ -109,7 +109,7 @@ def tangent(select, tau, moduli, shear, trial, A):  # type: ignore[no-untyped-de
 
 
 @compiled
-def commit(history, elastic, trial):  # type: ignore[no-untyped-def]
+def commit(history, elastic, trial):
     """Update G, at the beginning of rows of ``history``, for elastic strains (n, 3)."""
     frame = new_frame(trial.n.shape[1])
     for first in range(0, len(history), BLOCK):

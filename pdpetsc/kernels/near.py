@@ -19,7 +19,7 @@ def reach_kernel(dim: int, most: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def reach(indptr, neighbours, kept, x, reach):  # type: ignore[no-untyped-def]
+    def reach(indptr, neighbours, kept, x, reach):
         shortest = np.empty(most)
         for i in range(indptr.size - 1):
             count = 0
@@ -49,7 +49,7 @@ def near_bonds_kernel(dim: int) -> Callable[..., Any]:
     """Return ``near(indptr, neighbours, kept, x, reach, near)``: marks bonds no longer than ``reach`` of an end."""
 
     @compiled
-    def near(indptr, neighbours, kept, x, reach, near):  # type: ignore[no-untyped-def]
+    def near(indptr, neighbours, kept, x, reach, near):
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]

@@ -27,7 +27,7 @@ def strain_loops(dim: int) -> StrainLoops:
     # Sums are accumulated in scalars: for x86 without AVX the compiler generates wrong code for in-place sums of S and
     # C.
     @compiled
-    def stress(stress, N, S):  # type: ignore[no-untyped-def]
+    def stress(stress, N, S):
         for p in range(len(N)):
             for i in range(dim):
                 for j in range(dim):
@@ -37,7 +37,7 @@ def strain_loops(dim: int) -> StrainLoops:
                     S[p, i, j] = value
 
     @compiled
-    def tangent(moduli, shear, N, C):  # type: ignore[no-untyped-def]
+    def tangent(moduli, shear, N, C):
         for p in range(len(N)):
             for i in range(dim):
                 for m in range(dim):

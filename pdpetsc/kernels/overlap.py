@@ -18,7 +18,7 @@ AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES = 0, 1, 2, 5, 8, 11
 
 
 @compiled
-def overlap(y, other_y, X, other_X, one, other, facing, q):  # type: ignore[no-untyped-def]
+def overlap(y, other_y, X, other_X, one, other, facing, q):
     """Compute the overlap of pairs of facets, seen along the mean of their normals.
 
     Parameters
@@ -45,7 +45,7 @@ def overlap(y, other_y, X, other_X, one, other, facing, q):  # type: ignore[no-u
 
 
 @compiled
-def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):  # type: ignore[no-untyped-def]
+def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):
     """Compute the derivatives of the quantities of ``overlap`` by the corners, with complex differences.
 
     ``J`` (n_pairs, 11, 2 k dim) has the components of the k corners of the one facet, then those of the other. In the
@@ -79,7 +79,7 @@ def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):  # t
 
 
 @compiled
-def _pair(one, other, X, other_X, facing, p, r, edge, v, q):  # type: ignore[no-untyped-def]
+def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
     """Compute the quantities ``q`` of one pair; ``p, r, edge, v`` are memory for it."""
     ca, cb, a, b, n, at = v[0], v[1], v[2], v[3], v[4], v[5]
     q[AREA] = 0.0
@@ -167,7 +167,7 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):  # type: ignore[no-
 
 
 @compiled
-def rates_of_members(of, corners, by, out):  # type: ignore[no-untyped-def]
+def rates_of_members(of, corners, by, out):
     """Write ``sum_sc w_esc by_of(e),a,sc`` (n_entries, r, dim) from the weights of members at corners of both facets.
 
     ``corners`` are (n_entries, n_facets, k), ``by`` (n, r, n_facets * k * dim).
@@ -184,7 +184,7 @@ def rates_of_members(of, corners, by, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _undeformed(y, X, d, point):  # type: ignore[no-untyped-def]
+def _undeformed(y, X, d, point):
     """Compute the undeformed point that is at ``d`` from the mean of the deformed corners of a flat facet."""
     aa, ab, bb, ad, bd = 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0]
     for m in range(3):
@@ -205,7 +205,7 @@ def _undeformed(y, X, d, point):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _plane(corners, middle, normal):  # type: ignore[no-untyped-def]
+def _plane(corners, middle, normal):
     """Compute the mean of four corners (4, 3) and the unit normal of their facet; return its area."""
     for m in range(3):
         middle[m] = 0.25 * (corners[0, m] + corners[1, m] + corners[2, m] + corners[3, m])

@@ -24,7 +24,7 @@ def gradient_blocks_kernel(dim: int, same: int) -> Callable[..., Any]:
     n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
 
     @compiled
-    def blocks(point_ptr, members, h, g, volume, A, out):  # type: ignore[no-untyped-def]
+    def blocks(point_ptr, members, h, g, volume, A, out):
         WA = np.empty((n_pairs, size))
         block = np.empty(size)
         for p in range(point_ptr.size - 1):
@@ -59,7 +59,7 @@ def bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def blocks(indptr, neighbours, x, u, stiffness, tension, a, B, out):  # type: ignore[no-untyped-def]
+    def blocks(indptr, neighbours, x, u, stiffness, tension, a, B, out):
         n = np.empty(3)
         centre = np.empty(dim)
         dilates = a.size > 0
@@ -97,7 +97,7 @@ def non_uniform_blocks_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def blocks(indptr, neighbours, stiffness, weight, K_inverse, x, out):  # type: ignore[no-untyped-def]
+    def blocks(indptr, neighbours, stiffness, weight, K_inverse, x, out):
         xi = np.empty(dim)
         left = np.empty(dim)
         right = np.empty(dim)
@@ -137,7 +137,7 @@ def directed_blocks_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def blocks(indptr, neighbours, S, g, x, out):  # type: ignore[no-untyped-def]
+    def blocks(indptr, neighbours, S, g, x, out):
         moments = np.empty((dim, dim, dim, dim))
         whole = np.empty(dim)
         xi = np.empty(dim)
@@ -173,7 +173,7 @@ def directed_blocks_kernel(dim: int) -> Callable[..., Any]:
 
 
 @compiled
-def definite(blocks, least):  # type: ignore[no-untyped-def]
+def definite(blocks, least):
     """Increase diagonals until the leading minors of every symmetric part are positive, by Gershgorin rows.
 
     ``least`` is the smallest eigenvalue after the increase; return the number of changed blocks.

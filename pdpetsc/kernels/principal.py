@@ -12,7 +12,7 @@ from pdpetsc.kernels.eigen import symmetric_eigen
 
 
 @compiled
-def right_axes(F, dim, C, squares, N):  # type: ignore[no-untyped-def]
+def right_axes(F, dim, C, squares, N):
     """Write the principal values of ``C = F^T F``, and their directions as columns of N."""
     for i in range(dim):
         for j in range(dim):
@@ -23,7 +23,7 @@ def right_axes(F, dim, C, squares, N):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
+def principal_axes(F, dim, C, stretch, N, n):
     """Write the stretches of F and their directions, columns of N in the reference and of n in the current state."""
     right_axes(F, dim, C, stretch, N)
     for a in range(dim):
@@ -36,7 +36,7 @@ def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_pair(dim, a, b, normal, same, swapped, n, M, A):  # type: ignore[no-untyped-def]
+def add_pair(dim, a, b, normal, same, swapped, n, M, A):
     """Add ``A_aabb = normal, A_abab = same, A_abba = swapped`` of the principal frame to A (dim, dim, dim, dim)."""
     for i in range(dim):
         for m in range(dim):
@@ -49,7 +49,7 @@ def add_pair(dim, a, b, normal, same, swapped, n, M, A):  # type: ignore[no-unty
 
 
 @compiled
-def inverse(F, dim, G):  # type: ignore[no-untyped-def]
+def inverse(F, dim, G):
     """Write ``F^-1`` to G and return ``det F``."""
     if dim == 1:
         J = F[0, 0]

@@ -50,7 +50,7 @@ class Frame(NamedTuple):
 
 
 @compiled
-def new_frame(dim):  # type: ignore[no-untyped-def]
+def new_frame(dim):
     """Return a frame for points of dimension ``dim``."""
     square = (dim, dim, BLOCK)
     return Frame(
@@ -65,7 +65,7 @@ def new_frame(dim):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
+def open_frame(F, points, history, frame):
     """Compute the principal frames of ``F G`` at points.
 
     Rows of ``history`` (n, n_history) begin with ``G = F_p^-1``, row by row; without columns G is the identity.
@@ -125,7 +125,7 @@ def open_frame(F, points, history, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _add_product(x, y, out, n):  # type: ignore[no-untyped-def]
+def _add_product(x, y, out, n):
     for r in range(n):
         out[r] += x[r] * y[r]
 
@@ -138,7 +138,7 @@ def symmetric_axes(S: Float) -> tuple[Float, Float]:
 
 
 @compiled
-def _symmetric_axes(S, values, N):  # type: ignore[no-untyped-def]
+def _symmetric_axes(S, values, N):
     dim = S.shape[1]
     frame = new_frame(dim)
     for first in range(0, len(S), BLOCK):
@@ -157,7 +157,7 @@ def _symmetric_axes(S, values, N):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _diagonalise(S, N, n):  # type: ignore[no-untyped-def]
+def _diagonalise(S, N, n):
     """Diagonalise the upper half of S (dim, dim, BLOCK) by rotations; write the principal directions."""
     dim = S.shape[0]
     cosine, sine = np.empty(BLOCK), np.empty(BLOCK)
@@ -184,7 +184,7 @@ def _diagonalise(S, N, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _angle(p, q, o, cosine, sine, n):  # type: ignore[no-untyped-def]
+def _angle(p, q, o, cosine, sine, n):
     """Write the rotation that makes ``o`` zero for the diagonal entries p and q, and rotate these three."""
     for r in range(n):
         apart, twice = q[r] - p[r], 2.0 * o[r]
@@ -198,7 +198,7 @@ def _angle(p, q, o, cosine, sine, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rotate(a, b, cosine, sine, n):  # type: ignore[no-untyped-def]
+def _rotate(a, b, cosine, sine, n):
     for r in range(n):
         x, y = a[r], b[r]
         a[r] = cosine[r] * x - sine[r] * y
@@ -206,7 +206,7 @@ def _rotate(a, b, cosine, sine, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _half_logarithm(x, y, n):  # type: ignore[no-untyped-def]
+def _half_logarithm(x, y, n):
     """Write ``y = 1/2 ln(1 + x) = artanh(x / (2 + x))``."""
     far = 0.0
     for r in range(n):
@@ -221,7 +221,7 @@ def _half_logarithm(x, y, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _series(square):  # type: ignore[no-untyped-def]
+def _series(square):
     """Return ``artanh(z) / z`` for a small square of z."""
     value = 1.0 / (2.0 * TERMS + 1.0)
     for k in range(TERMS - 1, -1, -1):
@@ -230,7 +230,7 @@ def _series(square):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _dot(x, y, out, n):  # type: ignore[no-untyped-def]
+def _dot(x, y, out, n):
     """Write ``out = sum_a x_a y_a`` of rows x and y (dim, BLOCK), in one loop that stores ``out`` once."""
     x0, y0 = x[0], y[0]
     if len(x) == 3:
@@ -247,7 +247,7 @@ def _dot(x, y, out, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def outer_products(factor, left, right, out, n):  # type: ignore[no-untyped-def]
+def outer_products(factor, left, right, out, n):
     """Write ``out_ij = sum_a factor_a left_ia right_ja`` (dim, dim, BLOCK); ``left`` is changed."""
     dim = len(out)
     for i in range(dim):
@@ -260,7 +260,7 @@ def outer_products(factor, left, right, out, n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def write_stress(tau, points, frame, P):  # type: ignore[no-untyped-def]
+def write_stress(tau, points, frame, P):
     """Write ``P = sum_a tau_a / l_a n_a (x) M_a`` at points of P (all points, dim, dim); changes tau (3, BLOCK)."""
     dim, n, out = P.shape[1], points.size, frame.C
     for a in range(dim):
@@ -276,7 +276,7 @@ def write_stress(tau, points, frame, P):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def unload(elastic, frame, history):  # type: ignore[no-untyped-def]
+def unload(elastic, frame, history):
     """Overwrite G with ``F^-1 V_e = G (F G)^-1 V_e``, with the elastic strains (3, BLOCK) of V_e after the return."""
     dim, n, out, factor = frame.N.shape[0], len(history), frame.C, np.empty_like(frame.stretch)
     for a in range(dim):
@@ -292,7 +292,7 @@ def unload(elastic, frame, history):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shear(tau, shear, stretch, a, b, same, swapped, n):  # type: ignore[no-untyped-def]
+def _shear(tau, shear, stretch, a, b, same, swapped, n):
     """Write ``A_abab`` and ``A_abba`` of ``write_tangent``."""
     t, o, f, x, y = tau[a], tau[b], shear[a, b], stretch[a], stretch[b]
     far = 0.0
@@ -315,7 +315,7 @@ def _shear(tau, shear, stretch, a, b, same, swapped, n):  # type: ignore[no-unty
 
 
 @compiled
-def write_tangent(tau, moduli, shear, points, frame, A):  # type: ignore[no-untyped-def]
+def write_tangent(tau, moduli, shear, points, frame, A):
     """Write ``A = dP/dF`` of ``P = sum_a tau_a / l_a n_a (x) M_a`` at points of A (all points, dim, dim, dim, dim).
 
     ``moduli`` (dim, dim, BLOCK) is ``d tau_a / d eps_b`` and is overwritten, ``shear`` are the factors in

@@ -24,7 +24,7 @@ def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def times(particles, first, ptr, members, h, g, b, u, f):  # type: ignore[no-untyped-def]
+    def times(particles, first, ptr, members, h, g, b, u, f):
         for q in range(particles.size):
             i = particles[q]
             for s in range(first[i], first[i + 1]):
@@ -55,7 +55,7 @@ def facet_times_kernel(dim: int, rank: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def times(particles, first, ptr, members, h, g, u, f):  # type: ignore[no-untyped-def]
+    def times(particles, first, ptr, members, h, g, u, f):
         rate = np.empty(rank)
         for q in range(particles.size):
             i = particles[q]
@@ -83,7 +83,7 @@ def rank_one_rows_kernel(dim: int) -> Callable[..., Any]:
     """Return ``rows(layout, ptr, members, h, g, b, diag, off)``, which adds ``K_ac = sum_s b_s h_sa (x) g_sc``."""
 
     @compiled
-    def rows(layout, ptr, members, h, g, b, diag, off):  # type: ignore[no-untyped-def]
+    def rows(layout, ptr, members, h, g, b, diag, off):
         behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int32)
         blocks = np.empty((widest_row(layout), dim, dim))
@@ -122,7 +122,7 @@ def rank_one_blocks_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def blocks(ptr, members, h, g, b, out):  # type: ignore[no-untyped-def]
+    def blocks(ptr, members, h, g, b, out):
         for s in range(ptr.size - 1):
             for t in range(ptr[s], ptr[s + 1]):
                 for m in range(dim):

@@ -9,7 +9,7 @@ SUMS = 6
 
 
 @compiled
-def advance(residual, mass, dt, damping, first, u, velocity, moved):  # type: ignore[no-untyped-def]
+def advance(residual, mass, dt, damping, first, u, velocity, moved):
     """Move ``u`` to ``moved`` by one time step of central differences; return the sum of squares of the change.
 
     ``v := ((2 - c dt) v + 2 dt r / m) / (2 + c dt)``, from rest ``v := dt r / (2 m)``, and ``u := u + dt v``. The
@@ -31,7 +31,7 @@ def advance(residual, mass, dt, damping, first, u, velocity, moved):  # type: ig
 
 
 @compiled
-def compare(unbalanced, external, free, mass, velocity, dt, start, moved, residual, sums):  # type: ignore[no-untyped-def]
+def compare(unbalanced, external, free, mass, velocity, dt, start, moved, residual, sums):
     """Overwrite the residual with that after the step, ``unbalanced`` for free unknowns, and compute sums.
 
     The first of ``sums`` are ``k d^2`` and ``m d^2`` of the distance d from the start, the squares of external forces

@@ -47,14 +47,14 @@ class RowLayout(NamedTuple):
 
 
 @compiled
-def blocks_of_row(layout, row):  # type: ignore[no-untyped-def]
+def blocks_of_row(layout, row):
     """Return the number of blocks of a row in own and in other columns."""
     n_diag = layout.diag_ptr[row + 1] - layout.diag_ptr[row]
     return n_diag, layout.off_ptr[row + 1] - layout.off_ptr[row]
 
 
 @compiled
-def widest_row(layout):  # type: ignore[no-untyped-def]
+def widest_row(layout):
     """Return the largest number of blocks of a row."""
     widest = 0
     for row in range(layout.diag_ptr.size - 1):
@@ -64,7 +64,7 @@ def widest_row(layout):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def find_slots(layout, row, slot, mirrors=0):  # type: ignore[no-untyped-def]
+def find_slots(layout, row, slot, mirrors=0):
     """Write to ``slot`` (n_local,) the number of the block of each local particle with a block in the row.
 
     Particles behind mirror planes have numbers that are ``behind`` times ``mirrors`` higher. Return the number of
@@ -81,7 +81,7 @@ def find_slots(layout, row, slot, mirrors=0):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_row(layout, row, blocks, diag, off):  # type: ignore[no-untyped-def]
+def add_row(layout, row, blocks, diag, off):
     """Add the blocks of a row (n_blocks, dim, dim) to the values."""
     n_diag, n_off = blocks_of_row(layout, row)
     dim = blocks.shape[1]

@@ -10,7 +10,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-untyped-def]
+def families_from_pairs(pairs, directed, order, n_owned):
     """Turn neighbour pairs into CSR families of the owned particles, each sorted by ``order``.
 
     Each particle of a pair is in the family of the other; if ``directed``, only the second in the family of the first.
@@ -49,7 +49,7 @@ def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-unt
 
 
 @compiled
-def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
+def transpose(point_ptr, members, n_local):
     """List, for every local particle, the entries of the operator that contain it and the points of these entries."""
     entry_ptr = np.zeros(n_local + 1, np.int64)
     for t in range(members.size):
@@ -69,7 +69,7 @@ def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def product_sparsity(entry_ptr, entry_point, point_ptr, members, rank_of):  # type: ignore[no-untyped-def]
+def product_sparsity(entry_ptr, entry_point, point_ptr, members, rank_of):
     """Return the sparsity of ``G^T D G`` on local particles in CSR form, each row sorted by ``rank_of``."""
     n_local = entry_ptr.size - 1
     seen = np.full(n_local, -1, np.int64)
@@ -99,7 +99,7 @@ def product_sparsity(entry_ptr, entry_point, point_ptr, members, rank_of):  # ty
 
 
 @compiled
-def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_columns):  # type: ignore[no-untyped-def]
+def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_columns):
     """Return the sparsity whose row ``a`` is the union of row ``a`` and of all extra rows with ``extra_row == a``."""
     by_row = np.zeros(n_rows + 1, np.int64)
     for r in range(extra_row.size):
@@ -135,7 +135,7 @@ def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_
 
 
 @compiled
-def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):  # type: ignore[no-untyped-def]
+def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):
     """Expand a block sparsity into the scalar CSR rows of the same matrix."""
     row_ptr[0] = 0
     for a in range(block_ptr.size - 1):
@@ -157,7 +157,7 @@ def sum_by(index: Any, values: Any, n: int) -> Any:
 
 
 @compiled
-def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-untyped-def]
+def families_with_any(indptr, neighbours, marked, found):
     """Write a mask of families with a marked particle."""
     for i in range(indptr.size - 1):
         found[i] = False
@@ -167,7 +167,7 @@ def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-unt
 
 
 @compiled
-def opposite_bonds(indptr, neighbours, order, opposite):  # type: ignore[no-untyped-def]
+def opposite_bonds(indptr, neighbours, order, opposite):
     """Write the opposite direction of bonds of own particles (n_bonds,) that families sorted by ``order`` contain."""
     n_owned = indptr.size - 1
     for i in range(n_owned):
@@ -187,7 +187,7 @@ def opposite_bonds(indptr, neighbours, order, opposite):  # type: ignore[no-unty
 
 
 @compiled
-def sums_of_families(indptr, values, sums):  # type: ignore[no-untyped-def]
+def sums_of_families(indptr, values, sums):
     """Write the sums of values of bonds (n_bonds,) over each family."""
     for i in range(indptr.size - 1):
         value = 0.0
@@ -197,14 +197,14 @@ def sums_of_families(indptr, values, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def weights_of_bonds(neighbours, omega, volume, weight):  # type: ignore[no-untyped-def]
+def weights_of_bonds(neighbours, omega, volume, weight):
     """Write ``omega_ij V_j`` of every bond."""
     for b in range(neighbours.size):
         weight[b] = omega[b] * volume[neighbours[b]]
 
 
 @compiled
-def multiply_families(indptr, factor, values):  # type: ignore[no-untyped-def]
+def multiply_families(indptr, factor, values):
     """Multiply values of bonds (n_bonds,) by the factor of their family."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
@@ -212,7 +212,7 @@ def multiply_families(indptr, factor, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyped-def]
+def nearest_neighbours(indptr, neighbours, x, nearest):
     """Reduce ``nearest`` (n_owned,) to the distance of the nearest member of each family."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
@@ -223,7 +223,7 @@ def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyp
 
 
 @compiled
-def first_moments(indptr, neighbours, x, volume, moment, size):  # type: ignore[no-untyped-def]
+def first_moments(indptr, neighbours, x, volume, moment, size):
     """Write ``sum_j V_j xi_a`` and ``sum_j V_j |xi_a|``, (n_owned, dim) each."""
     for i in range(indptr.size - 1):
         for a in range(x.shape[1]):

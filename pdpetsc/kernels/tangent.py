@@ -28,7 +28,7 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """
 
     @compiled
-    def times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f):  # type: ignore[no-untyped-def]
+    def times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f):
         gradient = np.empty((dim, dim))
         stress = np.empty((dim, dim))
         for q in range(particles.size):
@@ -74,7 +74,7 @@ def same_gradient_kernel(dim: int) -> Callable[..., Any]:
     """Return ``deviation(point_ptr, members, g, stiffness, K_inverse, x)``: ``max |g - s K^-1 xi| / max |g|``."""
 
     @compiled
-    def deviation(point_ptr, members, g, stiffness, K_inverse, x):  # type: ignore[no-untyped-def]
+    def deviation(point_ptr, members, g, stiffness, K_inverse, x):
         worst = 0.0
         largest = 0.0
         for i in range(point_ptr.size - 1):
@@ -101,7 +101,7 @@ def bond_times_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f):  # type: ignore[no-untyped-def]
+    def times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f):
         dilates = a.size > 0
         for q in range(particles.size):
             i = particles[q]
@@ -143,7 +143,7 @@ def bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D):  # type: ignore[no-untyped-def]
+    def moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D):
         n = np.empty(3)
         xi = np.empty(dim)
         spread = np.empty((dim, dim))

@@ -453,7 +453,7 @@ def test_the_membrane_neither_locks_nor_oscillates(law, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"patch": 0.0}, "positive edge"), ({"patch": -1.0}, "positive edge"), ({"share": -0.1}, "share >= 0"),
+        ({"patch": 0.0}, "positive number as patch"), ({"patch": -1.0}, "positive"), ({"share": -0.1}, ">= 0 as share"),
         ({"scheme": pd.MeanDilatation(pd.SubHorizons(), 1.0)}, "patches already"),
     ],
 )  # fmt: skip

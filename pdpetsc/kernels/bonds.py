@@ -91,16 +91,6 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
     return force
 
 
-@compiled
-def sums_of_products(indptr, a, b, sums):
-    """Write ``sum_j a_ij b_ij`` over the bonds of each particle."""
-    for i in range(indptr.size - 1):
-        value = 0.0
-        for bond in range(indptr[i], indptr[i + 1]):
-            value += a[bond] * b[bond]
-        sums[i] = value
-
-
 @lru_cache
 def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return the kernel that adds the tangent of bonds to rows of K.

@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Entries, Product, RankOneProduct
-from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel, sums_of_products
+from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
 from pdpetsc.kernels.point_blocks import bond_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
@@ -269,10 +269,10 @@ class BondForces(MaterialTerm):
 
     def dilatation(self, state: State) -> Float:
         """Compute ``theta`` of the own particles (n_owned,) [-]; zeros for a material without dilatation."""
-        theta, a = np.zeros(self.body.cloud.n_owned), self.shares(state)
-        if a is not None:
-            sums_of_products(self.body.families.indptr, a, self.elongation(state), theta)
-        return theta
+        a = self.shares(state)
+        if a is None:
+            return np.zeros(self.body.cloud.n_owned)
+        return self.body.families.sums(a * self.elongation(state))
 
     def admissible(self, state: State) -> bool:
         """Return True if every bond on this rank has a length above zero."""
@@ -328,13 +328,12 @@ class BondForces(MaterialTerm):
         spent = None if self.a is not None else self.damage.dissipated(self.k)
         if spent is None:
             return None
-        return np.asarray(np.bincount(self.body.families.centres, spent, cloud.n_owned) / cloud.volume[: cloud.n_owned])
+        return np.asarray(self.body.families.sums(spent) / cloud.volume[: cloud.n_owned])
 
     def local_damage(self) -> Float:
         """Compute the lost share of the stiffness of the bonds of each own particle (n_owned,) [-] (not collective)."""
-        centres, n = self.body.families.centres, self.body.cloud.n_owned
-        whole = np.bincount(centres, self.k, n)
-        left = whole if self.damage is None else np.bincount(centres, self.k * self.damage.bonds.phi, n)
+        whole = self.body.families.sums(self.k)
+        left = whole if self.damage is None else self.body.families.sums(self.k * self.damage.bonds.phi)
         return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
 
     def deformation_gradient(self, state: State) -> Float:
@@ -409,12 +408,10 @@ class BondForces(MaterialTerm):
 
     def energy_density(self, state: State) -> Float:
         """Compute the strain energy density of the own particles (n_owned,) [energy / volume]."""
-        e, n = self.elongation(state), self.body.cloud.n_owned
-        psi = np.empty(n)
-        sums_of_products(self.body.families.indptr, 0.5 * self.secant(state) * e, e, psi)
+        psi = self.body.families.sums(0.5 * self.secant(state) * self.elongation(state) ** 2)
         if self.B is not None:
             psi += 0.5 * self.B * self.dilatation(state) ** 2
-        return np.asarray(psi / self.body.cloud.volume[:n])
+        return np.asarray(psi / self.body.cloud.volume[: self.body.cloud.n_owned])
 
     def uniform_stress_force(self, P: Float) -> Float:
         """Raise CaseError: a bond has no access to the stress of its particle."""

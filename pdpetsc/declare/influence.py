@@ -106,7 +106,7 @@ def evaluate(influence: Influence, s: Float) -> Float:
     omega = numbers_from("influence", influence, s)
     if omega.shape != s.shape:
         raise CaseError(f"The influence must return one number per bond, {s.shape}, not {omega.shape}.")
-    if not (omega.min() >= 0.0 and omega.max() < np.inf):
+    if not (omega.min(initial=0.0) >= 0.0 and omega.max(initial=0.0) < np.inf):
         bad = np.flatnonzero(~(np.isfinite(omega) & (omega >= 0.0)))
         raise CaseError(f"The influence is {omega[bad[0]]:g} at {s[bad[0]]:.6g} horizons; it must not be negative.")
     return omega

@@ -17,12 +17,12 @@ from pdpetsc.solvers.protocol import Converged
 
 
 class BrokenBonds(Observer):
-    """Lists every bond that breaks in a step, in the order of the ids.
+    """Record the bonds that break in each step, sorted by the ids of their ends.
 
     Parameters
     ----------
     bonds : FailingBonds
-        The state of the bonds; those that are broken at the start of the run are listed already.
+        The state of the bonds. Bonds that are broken at the start of the run count as listed.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class BrokenBonds(Observer):
         self._listed = ~self._bonds.intact
         self.table = Table(comm, observed.folder / "broken_bonds.csv", [header, *map(_row, rows)])
         if origin is not None and not comm.bcast(len(rows)):
-            # Pictures and values between particles know of cracks from this table alone.
+            # The checkpoint has no table; pictures and interpolation read cracks from this table only.
             self._listed[:] = False
             self._append(origin.start.step, origin.start.t)
 
@@ -61,7 +61,7 @@ class BrokenBonds(Observer):
         self.table.flush()
 
     def _append(self, step: int, t: float) -> None:
-        """Append the broken bonds that are not listed, with the ids of their ends, their length and their middle."""
+        """Append the broken bonds that are not yet listed: ids of both ends, length and midpoint."""
         bonds, comm = self._bonds, self.observed.comm
         new = np.flatnonzero((bonds.phi == 0.0) & ~self._listed)
         if int(total(comm, len(new))) == 0:
@@ -78,5 +78,5 @@ class BrokenBonds(Observer):
 
 
 def _row(values: Sequence[float]) -> list[str]:
-    """Return a row as it is written: step and ids as whole numbers."""
+    """Return a row as text, with step and ids as integers."""
     return [str(int(value)) if n in (0, 2, 3) else repr(float(value)) for n, value in enumerate(values)]

@@ -45,36 +45,37 @@ _OTHER_VERSION = (
     f"is not a checkpoint of this version (format {FORMAT}); continue with the version of pdpetsc that wrote it, or "
     f"run the case from its beginning."
 )
-# What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
-# checksum is wrong, because it does not survive every damage.
+# The file begins with HEAD bytes that hold the checksum of all that follows. The checksum is verified before HDF5
+# opens the file, because HDF5 can crash on damaged files.
 HEAD = 512
 SEAL = "pdpetsc checkpoint, sha256 of what follows the first 512 bytes: "
-# Damaged bonds that a rank looks at together.
+# Number of damaged bonds that a rank reads at a time.
 BLOCK = 100_000
-# Texts: the records of all steps, and the tables of the run.
+# Names of the stored texts: the records of all steps, and the tables of the run.
 STEPS, TABLES = "steps", ("history", "broken_bonds")
 
 
 @dataclass(frozen=True)
 class Head(Declared):
-    """What a checkpoint says beside its tables.
+    """Metadata of a checkpoint.
 
     Attributes
     ----------
     run : str
-        Identifies the run.
+        Identifier of the run.
     t, step, work
         As for ``Solution``.
     resume : mapping of str to float
-        What the solver goes on with.
+        Numbers from which the solver continues.
     identity : sequence of float
-        Numbers that tell one body from another.
+        Numbers that identify the body.
     virtual, tangent_virtual : sequence of float
-        Virtual rows of a cell, of the unknowns and of the displacement whose tangent the next step begins with.
+        Virtual rows of the cell: of the unknowns, and of the displacement at which the next step evaluates its first
+        tangent.
     damage : str
         Name of the damage law.
     frozen : bool
-        Whether bonds fail no more.
+        True if bonds no longer fail.
     declared : mapping of str to str
         Fingerprints of the parts of the case.
     """
@@ -93,9 +94,9 @@ class Head(Declared):
 
 
 class Checkpoints(Observer):
-    """Writes a checkpoint every so many steps and at the end.
+    """Write checkpoints at regular steps and at the end of the run.
 
-    What the checkpoint holds of other files is on the disk before it.
+    The tables that a checkpoint contains are flushed to disk before it.
 
     Parameters
     ----------
@@ -104,29 +105,32 @@ class Checkpoints(Observer):
     declared : mapping of str to str
         Fingerprints of the parts of the case.
     tables : sequence of observer
-        Those that write the tables of the run.
+        Observers that write the tables of the run.
     """
 
     def __init__(self, every: int, declared: Mapping[str, str], tables: Sequence[History | BrokenBonds]) -> None:
         self._every = every
         self._declared = declared
         self._tables = tables
-        # The records of the steps as text: a run does not change them.
+        # Records of the steps as text, encoded once because a run does not change them.
         self._records: list[str] = []
 
     def begin(self, observed: Observed) -> None:
-        """Leave the checkpoint of the start as it is."""
+        """Count the initial state as saved."""
         super().begin(observed)
         self._saved = observed.last.step
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
-        """Write a checkpoint if its turn has come."""
+        """Write a checkpoint if the step number is a multiple of ``every``."""
         if self._every > 0 and solution.step % self._every == 0:
             self._write(solution)
         return {}
 
     def end(self) -> None:
-        """Write the checkpoint of the last step, unless it is there or not wanted, or a motion is beyond it."""
+        """Write the checkpoint of the last step.
+
+        Nothing is written if it is saved already, if checkpoints are off, or if inertia has advanced beyond this step.
+        """
         problem, last = self.observed.problem, self.observed.last
         moves = problem.inertia is not None or problem.snap_inertia is not None
         beyond = moves and problem.converged != last.t
@@ -153,15 +157,16 @@ def write_checkpoint(
     solution: Solution, order: InCreationOrder, path: Path, run: str, declared: Mapping[str, str],
     texts: Mapping[str, bytes],
 ) -> None:  # fmt: skip
-    """Write the converged state aside, then rename it over ``path`` (collective).
+    """Write the converged state to a temporary file and rename it to ``path`` (collective).
 
-    It holds the unknowns, the bonds that are damaged, and the displacement whose tangent the next step begins with, so
-    that this begins on the same way to the last digit. The file has one checksum.
+    The checkpoint holds the unknowns, the arrays of the terms, the damaged bonds, and the displacement at which the
+    next step evaluates its first tangent. A continued run therefore starts the next step identically to the last digit.
+    One checksum covers the file.
 
     Parameters
     ----------
     run : str
-        Identifies the run.
+        Identifier of the run.
     declared : mapping of str to str
         Fingerprints of the parts of the case.
     texts : mapping of str to bytes
@@ -170,7 +175,7 @@ def write_checkpoint(
     Raises
     ------
     OutputError
-        The disk is full; an earlier checkpoint stays as it was.
+        The file cannot be written, or an array holds a value that is not a number. The previous checkpoint stays.
     """
     problem, u, cloud = solution.problem, solution.unknowns, solution.cloud
     comm, identity = cloud.comm, _identity(cloud)
@@ -186,9 +191,9 @@ def write_checkpoint(
         tables["tangent"] = at[: cloud.n_owned]
     for name, array in arrays.items():
         table = _by_particle(array, cloud)
-        if table.shape[1]:  # an array without rows anywhere has nothing to go on with
+        if table.shape[1]:  # an array that is empty on all ranks is not stored
             tables[f"terms/{name}"] = table
-    # Name, rows and parts of what the ranks hold; root receives the parts in this order.
+    # Name, array, number of rows and parts of each dataset; root receives the parts in this order.
     streams: list[tuple[str, NDArray[Any], int, Iterator[tuple[slice, NDArray[Any]]]]]
     streams = [(name, table, cloud.n_global, order.parts_on_root(table)) for name, table in tables.items()]
     if problem.bond_damage is not None:
@@ -214,7 +219,7 @@ def write_checkpoint(
                 seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
-    # Other ranks send here, and after a failure root still has to receive.
+    # The other ranks send here; root has to receive also after a failure.
     for _ in itertools.chain(*(parts for *_, parts in streams)):
         pass
     with agreed(comm):
@@ -223,13 +228,13 @@ def write_checkpoint(
 
 
 def seal(path: Path) -> None:
-    """Write the checksum of an HDF5 file into the room before it (not collective); raises OSError."""
+    """Write the checksum of an HDF5 file into its user block (not collective); raises OSError."""
     with path.open("r+b") as file:
         file.write(f"{SEAL}{_digest(file)}\n".encode())
 
 
 def _digest(file: IO[bytes]) -> str:
-    """Return the checksum of what follows the head, and go back to the beginning."""
+    """Return the checksum of the bytes after the user block, and rewind the file."""
     digest = hashlib.sha256()
     file.seek(HEAD)
     while block := file.read(2**20):
@@ -245,7 +250,7 @@ def whole(path: Path) -> bool:
 
 
 def _check_seal(path: Path) -> None:
-    """Raise CaseError where a file is no checkpoint or has changed since it was written."""
+    """Raise CaseError if a file is no checkpoint or has changed since it was written."""
     try:
         with path.open("rb") as file:
             head = file.read(HEAD)
@@ -260,7 +265,7 @@ def _check_seal(path: Path) -> None:
 
 
 def _head(solution: Solution, run: str, declared: Mapping[str, str], identity: Float, virtual: Sequence[Float]) -> Head:
-    """Return what the checkpoint of a solution says beside its tables."""
+    """Return the metadata of the checkpoint of a solution."""
     damage = solution.problem.damage
     frozen = damage is not None and damage.frozen
     return Head(
@@ -270,12 +275,12 @@ def _head(solution: Solution, run: str, declared: Mapping[str, str], identity: F
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the checkpoint that a path names, or that is in the folder of a run that it names (not collective).
+    """Return the checkpoint at a path, or in the folder of a run at this path (not collective).
 
     Raises
     ------
     CaseError
-        There is none.
+        There is no checkpoint, or it cannot be accessed.
     """
     found = Path(path)
     try:
@@ -292,7 +297,7 @@ def find_checkpoint(path: str | Path) -> Path:
         raise
     except (OSError, ValueError) as error:
         raise CaseError(f"Cannot read the checkpoint {found}: {getattr(error, 'strerror', None) or error}.") from None
-    # A link leads into the folder of the run that wrote it.
+    # Resolve links, which lead to the folder of the run that wrote the checkpoint.
     return found.resolve()
 
 
@@ -300,18 +305,18 @@ def read_checkpoint(
     problem: Problem, order: InCreationOrder, path: str | Path, declared: Mapping[str, str] | None = None,
     anyway: bool = False, any_load: bool = False,
 ) -> Origin:  # fmt: skip
-    """Return the state of a checkpoint; restore the bonds of the body (collective).
+    """Restore bonds and terms of a problem from a checkpoint, and return its state (collective).
 
     Parameters
     ----------
     path : str or Path
-        The checkpoint, or the folder that it is in.
+        The checkpoint or its folder.
     declared : mapping of str to str, optional
-        Fingerprints of the parts of the case; not looked at where absent.
+        Fingerprints of the parts of the case; not compared if omitted.
     anyway : bool
-        Take it for a case that declares something else, as far as it has the same number of particles and dimensions.
+        Accept the checkpoint of another case, if it has the same number of particles and dimensions.
     any_load : bool
-        Whether the step time may be any number, as along a path, not only 0 to 1.
+        True if the step time may be any number, as for path following; otherwise it must be in [0, 1].
 
     Raises
     ------
@@ -360,7 +365,7 @@ def read_checkpoint(
                         lacking += damage.bonds.restore(keys, states)
         except CaseError:
             raise
-        except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
+        except Exception as error:  # any error of HDF5, h5py and numpy on a damaged file
             words = str(error).strip().rstrip(".") or type(error).__name__
             raise CaseError(f"Cannot read the checkpoint {path}: {words}; restart from another one.") from None
     lacking = found - int(total(comm, lacking))
@@ -396,7 +401,7 @@ def _text(file: h5py.File, name: str) -> str:
 
 
 def _steps(file: h5py.File, count: int) -> list[dict[str, Any]]:
-    """Return the records of the steps; raises unless there is one of each step."""
+    """Return the records of the steps; raises an error unless there is one for each step."""
     steps = json.loads(_text(file, STEPS))
     _must([record["step"] for record in steps] == [*range(1, len(steps) + 1)], "its steps are no records")
     _must(all({"t", "reference", "negative_pivots"} <= set(record) for record in steps), "its steps are no records")
@@ -430,8 +435,8 @@ def _listed(names: Sequence[str]) -> str:
 def _check_datasets(
     file: h5py.File, cloud: Cloud, widths: Mapping[str, int], head: Head, n_virtual: int, of_bonds: bool
 ) -> None:
-    """Raise if datasets or virtual rows are missing, too many, elsewhere, or of a wrong type or shape."""
-    # Links to elsewhere are not visited.
+    """Raise ValueError if a dataset is missing, unexpected, in another file, or of wrong type or shape."""
+    # ``visititems`` does not follow links to other files.
     is_dataset: dict[str, bool] = {}
     file.visititems(lambda name, item: is_dataset.__setitem__(name, isinstance(item, h5py.Dataset)))
     columns: dict[str, tuple[tuple[int, ...], Any]] = {"u": ((cloud.dim,), np.float64)}
@@ -460,7 +465,7 @@ def _check_datasets(
 
 
 def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
-    """Yield keys and states of damaged bonds, some at a time; raises where they have no meaning."""
+    """Yield keys and states of damaged bonds in blocks; raises ValueError if they are invalid."""
     for begin in range(0, len(file["bonds/keys"]), BLOCK):
         rows = slice(begin, begin + BLOCK)
         keys, states = np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
@@ -471,7 +476,7 @@ def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
 
 
 def _identity(cloud: Cloud) -> Float:
-    """Return numbers that tell one body from another (collective)."""
+    """Return numbers that identify a body (collective)."""
     n = cloud.n_owned
     x, volume = cloud.x[:n], cloud.volume[:n]
     numbered = (cloud.gid[:n] % 97) @ np.abs(x).sum(axis=1)
@@ -488,19 +493,19 @@ def _law(problem: Problem) -> str:
 
 
 def _place(array: KeptArray) -> GlobalIndex:
-    """Return the number of each row of an array among those of its particle."""
+    """Return the index of each row of an array among the rows of its particle."""
     first = np.searchsorted(array.owner, array.owner, side="left")
     return np.asarray(np.arange(len(array.owner)) - first)
 
 
 def _width(array: KeptArray, cloud: Cloud) -> int:
-    """Return how many numbers a particle has at most, over all ranks (collective)."""
+    """Return the largest number of values per particle, over all ranks (collective)."""
     most = int(largest(cloud.comm, float(np.bincount(array.owner, minlength=1).max(initial=0))))
     return most * int(np.prod(array.values.shape[1:]))
 
 
 def _by_particle(array: KeptArray, cloud: Cloud) -> Float:
-    """Return a row of numbers for every own particle (n_owned, width), nan where it has fewer (collective)."""
+    """Return the values of each own particle (n_owned, width), padded with nan (collective)."""
     each = int(np.prod(array.values.shape[1:]))
     table = np.full((cloud.n_owned, _width(array, cloud) // max(each, 1), each), np.nan)
     table[array.owner, _place(array)] = array.values.reshape(len(array.owner), each)
@@ -508,7 +513,7 @@ def _by_particle(array: KeptArray, cloud: Cloud) -> Float:
 
 
 def _put(array: KeptArray, cloud: Cloud, table: Float, what: str) -> None:
-    """Overwrite the values of an array by rows of numbers of the own particles (collective)."""
+    """Overwrite the values of an array from a table with a row for each own particle (collective)."""
     each = int(np.prod(array.values.shape[1:]))
     rows = table.reshape(cloud.n_owned, -1, each)
     counts = np.bincount(array.owner, minlength=cloud.n_owned)

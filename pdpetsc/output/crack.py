@@ -16,7 +16,7 @@ FILE = "crack.vtk"
 
 
 class CrackLines(Observer):
-    """Writes what the first of the quantities that draws lines or surfaces draws of the last state, if any does."""
+    """Write the crack of the last state, as drawn by the first quantity that draws lines or surfaces."""
 
     def __init__(self, quantities: Iterable[Quantity]) -> None:
         self._quantities = quantities
@@ -35,14 +35,14 @@ class CrackLines(Observer):
 
 
 def polydata(parts: Sequence[Float], closed: bool, title: str) -> str:
-    """Return polylines, or polygons where they are closed, as a file of VTK.
+    """Return polylines or polygons as the text of a VTK file.
 
     Parameters
     ----------
     parts : sequence of (n, 2) or (n, 3) float64
         Points of each [length].
     closed : bool
-        Whether they are polygons.
+        True for polygons.
     title : str
         The second line of the file.
     """

@@ -11,14 +11,14 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
 
-# Beyond so many points a curve has no marks.
+# Largest number of points for which a curve has markers.
 MARKED = 60
-# Panels side by side, from so many on.
+# Least number of panels that are arranged in two columns.
 TWO_COLUMNS = 4
 
 
 def history_figure(columns: Mapping[str, Float], labels: Labels, x: str = "t", y: str | None = None) -> Any:
-    """Return a figure of columns of a history against one of them, a panel each.
+    """Return a figure of the columns of a history against one of them, one panel per column.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def history_figure(columns: Mapping[str, Float], labels: Labels, x: str = "t", y
 
 
 def curve_figure(columns: Mapping[str, Float], labels: Labels) -> Any | None:
-    """Return a figure of the first force of a history against its first length; None where it lacks either."""
+    """Return a figure of the first force of a history against its first length; None if either is missing."""
     force, length = labels.first_of("force"), labels.first_of("length")
     if force is None or length is None or force not in columns or length not in columns:
         return None
@@ -48,9 +48,10 @@ def curve_figure(columns: Mapping[str, Float], labels: Labels) -> Any | None:
 
 
 def newton_figure(summary: Mapping[str, Any]) -> Any:
-    """Return a figure of the residual of every iteration of the last solve of each step, and of the work of each step.
+    """Return a figure of the residuals in the last solve of each step, and of the numbers of iterations per step.
 
-    Residuals are over forces and reactions. A step whose damage is found in sweeps, as along a path, has many solves.
+    Residuals are relative to forces and reactions. A step has many solves if damage is found in sweeps, as in path
+    following.
     """
     figure, (axis, work) = panels(2)
     steps: Sequence[Mapping[str, Any]] = summary.get("steps", [])
@@ -85,7 +86,7 @@ def curve(axis: Any, x: Float, y: Float, label: str | None = None) -> None:
     axis.plot(x, y, "o-" if len(x) <= MARKED else "-", markersize=3.5, linewidth=1.3, label=label)
     finite = np.abs(y[np.isfinite(y)])
     if len(finite) and np.ptp(y[np.isfinite(y)]) <= 1e-9 * finite.max():
-        # Round-off is no curve.
+        # Do not magnify round-off.
         axis.set_ylim(
             np.sort([0.9 * y[np.isfinite(y)][0], 1.1 * y[np.isfinite(y)][0]]) if finite.max() else (-1.0, 1.0)
         )
@@ -93,7 +94,7 @@ def curve(axis: Any, x: Float, y: Float, label: str | None = None) -> None:
 
 
 def panels(count: int) -> tuple[Any, list[Any]]:
-    """Return a figure and its axes, in two columns where there are many."""
+    """Return a figure and its axes, in two columns if there are many."""
     from matplotlib.figure import Figure
 
     wide = 2 if count >= TWO_COLUMNS else 1

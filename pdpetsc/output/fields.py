@@ -1,4 +1,4 @@
-"""Fields per step: a file for each step in ``fields/``, which ``fields.h5`` and ``fields.xdmf`` make one of."""
+"""Fields of each step: one file per step in ``fields/``, joined by ``fields.h5`` and ``fields.xdmf``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pdpetsc.solvers.protocol import Converged
 
 
 class Fields(Observer):
-    """Writes the declared fields of the steps whose fields are wanted.
+    """Write the declared fields at the steps that are selected for output.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Fields(Observer):
         self._particles = particles
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Evaluate the fields, which must have a row for each particle."""
+        """Evaluate the fields; raises CaseError unless each has one row per particle."""
         for field in self._fields:
             _evaluated(field, field, start)
 
@@ -74,43 +74,43 @@ class Fields(Observer):
         return {}
 
     def end(self) -> None:
-        """Wait until everything is on the disk."""
+        """Flush all files to disk."""
         self._writer.flush()
 
 
 class FieldWriter:
-    """Writes fields of all particles, in the order of creation on any rank count.
+    """Write fields of all particles, in the order of creation on any number of ranks.
 
-    Vectors and tensors have three dimensions on disk whatever the body has. On several nodes every rank writes its part
-    of the ids, if h5py has parallel HDF5; on one node, where that is a third as fast, and with any other build, rank 0
-    writes the parts one after another. No rank holds a whole field.
-    What is written is never opened for writing again: every step has a file, which is made aside and renamed.
-    The entries of a tensor have names besides, ``stress_xx``: views of its columns, which take no room of their own.
+    Vectors and tensors are stored with three dimensions for bodies of any dimension. On several nodes each rank writes
+    its part of the ids if h5py has parallel HDF5. Otherwise rank 0 writes the parts one after another, which is three
+    times as fast on one node. No rank holds a whole field.
+    Each step has its own file, which is written under a temporary name, renamed, and never opened for writing again.
+    The entries of a tensor are also available by name, as ``stress_xx``: views of its columns that use no disk space.
 
     Parameters
     ----------
     cloud : Cloud
         The particles.
     folder : Path
-        Where ``fields/``, ``fields.h5`` and ``fields.xdmf`` go.
+        Folder of ``fields/``, ``fields.h5`` and ``fields.xdmf``.
     fields : sequence of Field
-        What is written; the names on disk are the functions' names.
+        The fields to write, named on disk by their functions.
     run : str
-        Of which run the files are.
+        Identifier of the run.
     first : int
-        Steps of this run up to it that the folder holds are kept: a restart goes on in its own folder.
+        Last step of this run that is kept in the folder, for a restart in the same folder.
     cells : Cells, optional
         The cells in the folder, on rank 0.
 
     Attributes
     ----------
     together : bool
-        Whether all ranks write at once; the same on all.
+        True if all ranks write at once; equal on all ranks.
 
     Raises
     ------
     CaseError
-        Fields have no names, or the same, on all ranks.
+        A field has no valid name, or two fields have the same name; on all ranks.
     OutputError
         The disk is full or a file cannot be written, on all ranks.
 
@@ -149,7 +149,7 @@ class FieldWriter:
         with agreed(cloud.comm):
             if is_root(cloud.comm):
                 self._index = Index(folder, cloud.n_global, [step for step in earlier if step.number <= first], cells)
-                # The steps after the first will be computed again.
+                # Steps after ``first`` will be computed again.
                 remove(folder, [step for step in earlier if step.number > first])
 
     def write(self, solution: Solution) -> None:
@@ -169,7 +169,7 @@ class FieldWriter:
                 self._index.add(step)
 
     def flush(self) -> None:
-        """Wait until everything is on the disk."""
+        """Flush all files to disk."""
         with agreed(self._cloud.comm):
             if self._index is not None:
                 self._index.flush()
@@ -205,7 +205,7 @@ class FieldWriter:
                 stack.close()
 
     def _at_once(self, path: Path | None, values: dict[str, NDArray[Any]]) -> Exception | None:
-        """Write with parallel HDF5, every rank its part of the ids; return what went wrong."""
+        """Write with parallel HDF5, each rank its part of the ids; return the error, if any."""
         comm, starts = self._cloud.comm, self._order.starts
         mine = slice(int(starts[comm.rank]), int(starts[comm.rank + 1]))
         try:
@@ -220,12 +220,12 @@ class FieldWriter:
         return None
 
     def _in_turn(self, file: h5py.File | None, values: dict[str, NDArray[Any]]) -> Exception | None:
-        """Write to root's file, the parts of the others one after another; return what went wrong."""
+        """Write the parts of all ranks to the file of root, one after another; return the error, if any."""
         failure: Exception | None = None
         for name, array in values.items():
             dataset = None
             for rows, part in self._order.parts_on_root(array):
-                # Root goes on receiving after a failure, so that no rank is left in a send.
+                # Root continues to receive after a failure, so that no rank hangs in a send.
                 if failure is not None or file is None:
                     continue
                 try:
@@ -243,15 +243,15 @@ class FieldWriter:
         return failure
 
     def _views(self, values: dict[str, NDArray[Any]]) -> list[tuple[str, str, int]]:
-        """Return name, tensor and column of the entries of tensors, but for names that a field has."""
+        """Return name, tensor and column of each tensor entry, except names that a field has."""
         tensors = [name for name, array in values.items() if array.ndim == 2 and array.shape[1] == 9]
         found = [(f"{name}_{entry}", name, column) for name in tensors for column, entry in entries(self._cloud.dim)]
         return [view for view in found if view[0] not in values]
 
     def _name_entries(self, file: h5py.File, values: dict[str, NDArray[Any]]) -> None:
-        """Give the columns of tensors names of their own: HDF5's virtual datasets, which every reader takes for data.
+        """Name the columns of tensors by virtual datasets of HDF5, which all readers treat as data.
 
-        XDMF could choose columns too, but of the three readers of ParaView 5.11 two leave such arrays out.
+        XDMF can also select columns, but two of the three XDMF readers of ParaView 5.11 skip such arrays.
         """
         n = self._cloud.n_global
         for name, tensor, column in self._views(values):
@@ -261,12 +261,12 @@ class FieldWriter:
 
 
 def _evaluated(field: Field, function: Field, solution: Solution) -> NDArray[Any]:
-    """Return a field, by a function that evaluates it in the way that is wanted (collective).
+    """Evaluate a field by ``function`` and check its shape (collective).
 
     Raises
     ------
     CaseError
-        It cannot be written, on all ranks.
+        A field of this shape cannot be written; on all ranks.
     """
     evaluated, n = function(solution), len(solution.u)
     with agreed(solution.cloud.comm):
@@ -281,7 +281,7 @@ def _evaluated(field: Field, function: Field, solution: Solution) -> NDArray[Any
 
 
 def _names(fields: Sequence[Field]) -> list[str]:
-    """Return the names of fields; raises CaseError where they cannot be told apart or are none."""
+    """Return the names of fields; raises CaseError if a name is invalid or occurs twice."""
     names = [str(getattr(field, "__name__", "")) for field in fields]
     for name in names:
         if not name or "/" in name or "\0" in name or name.strip(".") == "":
@@ -292,7 +292,7 @@ def _names(fields: Sequence[Field]) -> list[str]:
 
 
 def _is_of(path: Path, run: str, n: int) -> bool:
-    """Return True if a file of particles is whole and of this run."""
+    """Return True if a file of particles is complete and of this run."""
     try:
         with open_hdf5(path) as file:
             return bool(file.attrs["run"] == run) and all(len(file[name]) == n for name in ("position", "id", "volume"))

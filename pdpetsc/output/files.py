@@ -1,4 +1,4 @@
-"""Files that are never half written, and rows gathered in creation order."""
+"""Atomic replacement of files, and rows gathered in creation order."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, exchange, fetch, is_root, total
 from pdpetsc.errors import OutputError
 
-# Room that stays free on the disk, for the small files that end a run.
+# Disk space that stays free for the small files at the end of a run [bytes].
 RESERVE = 2**20
-# Room for the headers of an HDF5 file or dataset, and more than HDF5 writes of them at once [bytes].
+# Space for the headers of an HDF5 file or dataset; HDF5 writes fewer bytes of them at once [bytes].
 HEADERS = 2**14
-# What may wait for the disk waits no longer than this [s].
+# Longest time between flushes of files that need not be flushed at once [s].
 WAIT = 1.0
-# What h5py raises where a file cannot be written.
+# Errors of h5py if a file cannot be written.
 WRITE_ERRORS = (OSError, RuntimeError, ValueError)
-# What file systems answer that cannot flush a folder.
+# Error codes of file systems that cannot flush a folder.
 _NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
 
 
 @contextlib.contextmanager
 def replacing(path: Path, wait: bool = True) -> Iterator[Path]:
-    """Give a path beside ``path`` to write to, and put it in place of ``path`` when the body succeeded.
+    """Yield a temporary path beside ``path``, and rename it to ``path`` if the body succeeds.
 
-    There is no such file when the body begins. It is on the disk before it takes the place of ``path``, so that at
-    every moment, also after a loss of power, ``path`` is whole: the old one or the new one.
+    The temporary file does not exist when the body begins. It is flushed to disk before it replaces ``path``. At any
+    moment, also after a loss of power, ``path`` is therefore either the old or the new file.
 
     Parameters
     ----------
     wait : bool
-        Wait for the disk. Without it only a loss of power can take the file, and what can be made again may do without.
+        Wait for the disk. Without it a loss of power can destroy the file; use this for files that can be rebuilt.
 
     Raises
     ------
     OutputError
-        The file could not be written; ``path`` is as it was.
+        The file could not be written; ``path`` stays unchanged.
     """
     aside = path.with_name(path.name + ".part")
     try:
@@ -68,11 +68,11 @@ def replacing(path: Path, wait: bool = True) -> Iterator[Path]:
 
 
 def cannot_write(path: Path, error: Exception) -> OutputError:
-    """Return the one sentence for a file that could not be written."""
+    """Return the error for a file that could not be written."""
     if isinstance(error, OutputError):
-        # Another object: an error that is its own cause has no end for those who look through the causes.
+        # Return a new object: an error that is its own cause would make the chain of causes endless.
         return OutputError(str(error))
-    # HDF5 says everything it knows, in several lines; the system's words are among them.
+    # The message of HDF5 has several lines and contains the message of the system.
     text = " ".join(str(error).split())
     found = re.search(r"error message = '([^']+)'", text)
     words = found.group(1) if found else getattr(error, "strerror", None) or text.rstrip(".")
@@ -80,7 +80,7 @@ def cannot_write(path: Path, error: Exception) -> OutputError:
 
 
 def write_whole(path: Path, text: str, wait: bool = True) -> None:
-    """Replace a file by one with this text; raises OutputError with ``path`` as it was."""
+    """Replace the content of a file by a text; raises OutputError and leaves the file unchanged on failure."""
     with replacing(path, wait) as aside:
         descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         try:
@@ -90,7 +90,7 @@ def write_whole(path: Path, text: str, wait: bool = True) -> None:
 
 
 def append(path: Path, text: str) -> None:
-    """Add text to the end of a file; raises OutputError with the file as it was, as far as the disk lets it."""
+    """Append text to a file; raises OutputError on failure, after restoring the file if possible."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
@@ -113,7 +113,7 @@ def _write_all(descriptor: int, data: bytes) -> None:
 
 
 def flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk; raises OSError."""
+    """Flush a file, or the entries of a folder, to disk; raises OSError."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -125,10 +125,10 @@ def flush(path: Path) -> None:
 
 
 def open_hdf5(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading, without HDF5's locks.
+    """Open an HDF5 file for reading, without the locks of HDF5.
 
-    Files are replaced whole, so nobody reads what is being written: a lock would only disturb the others, and fails on
-    file systems that have none.
+    Files are replaced as a whole, so no process reads a file that is being written. Locks would block other processes,
+    and they fail on file systems without locks.
     """
     try:
         return h5py.File(path, "r", locking=False)
@@ -139,14 +139,14 @@ def open_hdf5(path: Path) -> h5py.File:
 
 
 def reserve(path: Path, size: int) -> None:
-    """Make sure that a file can grow by ``size`` bytes, before anything in it is changed.
+    """Allocate ``size`` more bytes for a file before it is written.
 
-    The blocks are allocated here, so that a full disk, a quota or a file size limit shows in one place, with numbers.
+    A full disk, a quota or a file size limit is thus reported in one place, with numbers.
 
     Raises
     ------
     OutputError
-        There is no room.
+        The space is not available.
     """
     name = path.name.removesuffix(".part")
     free = shutil.disk_usage(path.parent).free
@@ -170,17 +170,17 @@ def reserve(path: Path, size: int) -> None:
 
 
 class _Storage:
-    """What an HDF5 file is written to: a file whose errors HDF5 never sees, because it does not survive them.
+    """File object for HDF5 that hides write errors from it.
 
-    HDF5 crashes at the end of the process where it could not write a file out. The first error is kept in ``error``;
-    what is written from then on, as far as HDF5 may read it again, stays in memory.
+    HDF5 crashes at the end of the process if it could not write a file. The first error is stored in ``error``. Later
+    writes that HDF5 may read again, up to ``HEADERS`` bytes each, stay in memory.
     """
 
     def __init__(self, path: Path, new: bool) -> None:
         flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_CREAT | os.O_EXCL if new else 0)
         self._descriptor = os.open(path, flags, 0o666)
         self._place = 0
-        # Where HDF5's file ends; the room beyond it that is reserved goes at the end.
+        # End of the data of HDF5; ``close`` removes the reserved space beyond it.
         self._end = os.fstat(self._descriptor).st_size
         self._since: list[tuple[int, bytes]] = []
         self.error: OSError | None = None
@@ -227,7 +227,7 @@ class _Storage:
         return size
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing, because writes are not buffered."""
 
     def close(self) -> None:
         try:
@@ -241,12 +241,14 @@ class _Storage:
 
 @contextlib.contextmanager
 def writing_hdf5(path: Path, size: int | None = None, **options: Any) -> Iterator[h5py.File]:
-    """Give an HDF5 file to write to: a new one with room for ``size`` bytes, or one that is there.
+    """Open an HDF5 file for writing: a new file with space for ``size`` bytes, or an existing file without ``size``.
 
     Raises
     ------
     OSError
-        It could not be written whole. OutputError where there is no room, before anything is written.
+        The file could not be written completely.
+    OutputError
+        There is no space; nothing is written.
     """
     storage = _Storage(path, new=size is not None)
     try:
@@ -271,9 +273,9 @@ def on_several_nodes(comm: Comm) -> bool:
 
 
 def rank_by_rank(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield on rank 0 the rows of all ranks, ``counts`` of each, one rank at a time; nothing elsewhere.
+    """Yield on rank 0 the rows of all ranks, ``counts`` of each, one rank at a time; nothing on other ranks.
 
-    Exhaust it on every rank. Rank 0 never holds more than two parts.
+    Every rank must exhaust the iterator. Rank 0 never holds more than two parts.
     """
     mine = np.ascontiguousarray(values)
     if not is_root(comm):
@@ -312,9 +314,9 @@ class InCreationOrder:
         return arrived[self._order]
 
     def parts_on_root(self, values: NDArray[Any]) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Yield on rank 0 the parts of all ranks, one at a time; nothing elsewhere.
+        """Yield on rank 0 the parts of all ranks, one at a time; nothing on other ranks.
 
-        Exhaust it on every rank. Rank 0 never holds more than two parts.
+        Every rank must exhaust the iterator. Rank 0 never holds more than two parts.
         """
         return rank_by_rank(self._cloud.comm, self.rows(values), np.diff(self.starts).tolist())
 

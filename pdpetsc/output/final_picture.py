@@ -20,13 +20,13 @@ from pdpetsc.post.solution import Solution
 
 
 class FinalPicture(Observer):
-    """Draws the declared picture, if there is one; earlier pictures of the folder are set aside."""
+    """Draw the declared picture, if any, and move earlier pictures aside."""
 
     def __init__(self, picture: Picture | None) -> None:
         self._picture = picture
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Refuse a component that the field does not have, and cuts that are not possible."""
+        """Raise CaseError for a component that the field does not have, and for cuts that leave nothing."""
         if self._picture is None:
             return
         axes = np.ndim(self._picture.field(start)) - 1
@@ -36,13 +36,13 @@ class FinalPicture(Observer):
         refuse_empty(self._picture.cuts, int(total(start.cloud.comm, left.sum())))
 
     def begin(self, observed: Observed) -> None:
-        """Move pictures of the run before a restart in the same folder away."""
+        """Move earlier pictures aside at a restart in the same folder."""
         super().begin(observed)
         if observed.in_own_folder:
             set_pictures_aside(observed.comm, observed.folder)
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
-        """Return what the picture shows, for later pictures of the run."""
+        """Return the settings of the picture, for later pictures of the run."""
         shown = self._picture
         if shown is None:
             return {}
@@ -50,7 +50,7 @@ class FinalPicture(Observer):
         return {"picture": {**what, "cut": [list(cut) for cut in shown.cuts]}}
 
     def finish(self) -> None:
-        """Draw the picture; the results stand if that fails."""
+        """Draw the picture; a failure is only a warning."""
         folder, report, picture = self.observed.folder, self.observed.report, self._picture
         if picture is not None and is_root(self.observed.comm):
             path = folder / "picture.png"

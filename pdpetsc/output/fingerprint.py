@@ -1,4 +1,4 @@
-"""Fingerprints of what a case declares: they tell a case from another one, in every process and on every rank."""
+"""Fingerprints of declarations, which identify a case in every process and on every rank."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ from pdpetsc.discrete.communicator import Comm, agreed
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import digest_of
 
-# What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
+# Parts of a case that a continued run may change: load steps, solver and output.
 MAY_DIFFER = {
     "steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect", "units"
 }  # fmt: skip
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))
-# Globals that are part of what a function computes, not of what it has computed.
+# Types of globals that belong to the definition of a function, unlike stored results.
 _READ: tuple[type, ...] = (
     bool, int, float, str, bytes, tuple, list, set, frozenset, dict, np.ndarray, np.generic,
     FunctionType, functools.partial, type, ModuleType,
 )  # fmt: skip
-# What must be equal on all ranks also inside a function, which may read the number of its rank.
+# Types that must be equal on all ranks also inside functions; other values there may depend on the rank.
 _NUMBERS: tuple[type, ...] = (float, np.floating, np.ndarray, np.random.Generator, np.random.RandomState)
-# Label of a variable that a function reads; it stands before the path of the function.
+# Label of a variable that a function reads, followed by the path of the function.
 _OF = "` of `"
 
 
 def declared_parts(case: Any) -> dict[str, str]:
-    """Return a fingerprint of each part of a case that a continued run has to share (not collective).
+    """Return the fingerprints of the parts of a case that a continued run must share (not collective).
 
     Parameters
     ----------
     case : Case
-        What is run. What is spelled in two ways and means the same has the same fingerprint.
+        The case. Different spellings of the same declaration have the same fingerprint.
 
     Returns
     -------
     dict of str to str
-        Names of the case's parts and their fingerprints.
+        Fingerprints by names of the parts.
     """
     parts = {f.name: getattr(case, f.name) for f in dataclasses.fields(case) if f.name not in MAY_DIFFER}
     parts["material"] = case.materials
@@ -70,17 +70,17 @@ def declared_parts(case: Any) -> dict[str, str]:
 
 
 def differing(found: Mapping[str, str], declared: Mapping[str, str]) -> list[str]:
-    """Return the names of the parts whose fingerprints differ or that one side lacks, in the order of ``declared``."""
+    """Return the names of the parts that differ or are missing on one side, in the order of ``declared``."""
     return [name for name in {**declared, **found} if found.get(name) != declared.get(name)]
 
 
 def fingerprint(value: Any) -> str:
     """Return the fingerprint of a declared object.
 
-    Dataclasses count by class and fields, arrays by type, shape and bytes, files of particles by their content, other
-    objects by class and state. Functions count by their source without comments, and by the defaults, closures and
-    globals that they read; without a source by their names and constants. Code of installed libraries counts by its
-    name.
+    The fingerprint contains class and fields of dataclasses, type, shape and bytes of arrays, the content of particle
+    files, and class and state of other objects. For functions it contains the source without comments, and the
+    defaults, closures and globals that they read. Functions without source are represented by names and constants, and
+    code of installed libraries by its name.
     """
     return _Walk().of(value).digest.hex()
 
@@ -99,7 +99,7 @@ def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
     Raises
     ------
     CaseError
-        The first value that differs.
+        A value differs; the message names the first one.
 
     Notes
     -----
@@ -130,7 +130,7 @@ def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A declared value: what it is without what is in it, and what is in it by labels; nothing if it does not count."""
+    """A declared value: digest without the values inside it, and these values by label; both empty if it is ignored."""
 
     value: Any
     own: bytes = b""
@@ -142,13 +142,13 @@ class _Part:
 
     @functools.cached_property
     def digest(self) -> bytes:
-        # Keys of mappings and the number of entries count in the part itself.
+        # Keys of mappings and numbers of entries are included in ``own``.
         inside = [(b"" if label.startswith("[") else label.encode(), part.digest) for label, part in self.parts]
         return _hash(self.own, *itertools.chain.from_iterable(inside))
 
 
 def _entries(part: _Part, path: str, seen: set[int]) -> Iterator[tuple[str, bytes, str]]:
-    """Yield path, content and text of a value and of what is in it, of each object once."""
+    """Yield path, digest and text of a value and of the values inside it, once for each object."""
     if id(part) in seen:
         return
     seen.add(id(part))
@@ -168,15 +168,15 @@ def _hash(*parts: bytes | str) -> bytes:
 
 
 class _Walk:
-    """Walks an object.
+    """Convert objects into parts.
 
-    ``_open`` are the objects on the way to the present one, which may refer back to them; ``_done`` are those that have
-    been walked, held so that no other one gets their number.
+    ``_open`` holds the ids of the objects around the current one, which may refer back to them. ``_done`` holds the
+    finished parts; they keep their objects alive, so that no other object gets the same id.
 
     Parameters
     ----------
     across_ranks : bool
-        Leave out what may differ between ranks, and let the order of mappings count.
+        Ignore values that may differ between ranks, and include the order of mappings.
     """
 
     def __init__(self, across_ranks: bool = False) -> None:
@@ -186,7 +186,7 @@ class _Walk:
         self._done: dict[tuple[int, bool], _Part] = {}
 
     def of(self, value: Any) -> _Part:
-        """Return any object as a part."""
+        """Return the part of an object."""
         content = _content_of(value)
         if content is not None:
             return _Part(value, content if not self._leaves_out or isinstance(value, _NUMBERS) else b"")
@@ -218,7 +218,7 @@ class _Walk:
             self._in_function = outer
 
     def _composite(self, value: Any) -> tuple[bytes, list[tuple[str, _Part]]]:
-        """Return an object without what is in it, and what is in it."""
+        """Return the digest of an object without the values inside it, and these values by label."""
         if isinstance(value, list | tuple | np.ndarray):
             return _hash("sequence", str(len(value))), [(f"[{n}]", self.of(entry)) for n, entry in enumerate(value)]
         if isinstance(value, set | frozenset):
@@ -244,7 +244,7 @@ class _Walk:
 
 
 def _content_of(value: Any) -> bytes | None:
-    """Return the content of a value with nothing in it; None for others."""
+    """Return the digest of a value that contains no other values; None for others."""
     if value is None or value is Ellipsis or isinstance(value, bool | np.bool_):
         return _hash("constant", str(value))
     if isinstance(value, enum.Enum):
@@ -268,7 +268,7 @@ def _content_of(value: Any) -> bytes | None:
 
 
 def _read_by(value: Any) -> dict[str, Any] | None:
-    """Return the values that a function or class reads besides arguments, by label; None for another object."""
+    """Return the values that a function or class reads besides arguments, by label; None for other objects."""
     if isinstance(value, type):
         return _members(value)
     if isinstance(value, FunctionType):
@@ -287,18 +287,18 @@ def _state(value: Any) -> dict[str, Any]:
         return {f".{name}": held for name, held in vars(value).items()}
     try:
         return {".state": value.__reduce_ex__(4)[1:3]}
-    except Exception:  # what cannot be taken apart (a lock, a generator) counts by its class
+    except Exception:  # an object without readable state (a lock, a generator) is represented by its class
         return {}
 
 
 def _members(kind: type) -> dict[str, Any]:
-    """Return the bases of a class, and methods and constants that the user wrote, by labels."""
+    """Return the bases of a class and its user-defined methods and constants, by label."""
     module = sys.modules.get(kind.__module__)
     written = module is None or not of_library(getattr(module, "__file__", None) or _PACKAGE)
     members: dict[str, Any] = {f".base{n}": base for n, base in enumerate(kind.__bases__) if base is not object}
     for name, member in vars(kind).items():
         plain = getattr(member, "__func__", None) or getattr(member, "fget", None) or member
-        # What dataclasses make has no file; it follows from the fields.
+        # Methods generated by dataclasses have no file; they follow from the fields.
         if isinstance(plain, FunctionType):
             if plain.__code__.co_filename != "<string>" and not of_library(plain.__code__.co_filename):
                 members[f".{name}"] = plain
@@ -318,7 +318,7 @@ def _variables(function: FunctionType) -> dict[str, Any]:
         known = function.__globals__
         named = [name for name in sorted(_names(code)) if name in known and _is_read(known[name])]
         read |= {f"{name}{_OF}": known[name] for name in named}
-        # The source does not tell all of them if there is none.
+        # Constants are needed if there is no source.
         read |= {f".constant{n}": value for n, value in enumerate(code.co_consts) if not isinstance(value, CodeType)}
     return read
 
@@ -327,7 +327,7 @@ def _source(code: CodeType) -> str:
     """Return the definition of a function without comments; the names in it if there is no source."""
     text = "".join(linecache.getlines(code.co_filename))
     begun = _definitions(text).get(code.co_firstlineno, {})
-    # Of several functions in one line, the one whose last expression ends with the code.
+    # If several functions are on one line, choose the one that ends with the code.
     ends = {(line, column) for _, line, _, column in getattr(code, "co_positions", tuple)()}
     definitions = [found for end, found in begun.items() if end in ends] or begun.values()
     return "\n".join(definitions or [*code.co_names, *code.co_varnames])
@@ -335,7 +335,7 @@ def _source(code: CodeType) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _definitions(text: str) -> Mapping[int, Mapping[tuple[int | None, int | None], str]]:
-    """Return the functions of a source by the lines at which they begin and the places at which they end."""
+    """Return the functions of a source, by first line and end position."""
     found: dict[int, dict[tuple[int | None, int | None], str]] = defaultdict(dict)
     with contextlib.suppress(SyntaxError, ValueError):
         for node in ast.walk(ast.parse(text)):
@@ -353,17 +353,17 @@ def _names(code: CodeType) -> set[str]:
 
 
 def _is_read(value: Any) -> bool:
-    """Return True if a global that a function names is part of what it computes."""
+    """Return True if a global belongs to the definition of a function that names it."""
     return value is None or isinstance(value, _READ) or dataclasses.is_dataclass(value)
 
 
 def of_library(file: str) -> bool:
-    """Return True if code in a file is of Python, pdpetsc or an installed package, not of the user."""
+    """Return True if a file belongs to Python, pdpetsc or an installed package."""
     return file.startswith(_LIBRARIES) or "site-packages" in file or "dist-packages" in file
 
 
 def _contents(declared: TextFile | Column | Mesh) -> dict[str, Any]:
-    """Return the content of the files that an object names, in place of their paths."""
+    """Return digests of the files that an object names, to replace their paths."""
     path = declared.path
     files = files_of(Path(path), declared.format) if isinstance(declared, Mesh) else [path]
     sets = getattr(declared, "node_sets", {})
@@ -372,5 +372,5 @@ def _contents(declared: TextFile | Column | Mesh) -> dict[str, Any]:
 
 
 def _content(path: str | Path) -> str:
-    """Return the digest of a file's content, of its name if it cannot be read."""
+    """Return the digest of the content of a file, or its path if it cannot be read."""
     return digest_of(path) or str(path)

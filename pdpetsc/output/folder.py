@@ -1,4 +1,4 @@
-"""The folder of a run: one run at a time in it, and nothing of an earlier one taken for its own."""
+"""The folder of a run: a lock against other runs, and ``earlier/`` for the results of the run before."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.output.files import write_whole
 
 LOCK = ".pdpetsc-lock"
-# Times that a process waits a hundredth of a second for another one to have looked at the lock.
+# Attempts of a process to get access to the lock file, 0.01 s apart.
 PATIENCE = 300
-# Where a run that starts anew puts what the run before it left.
+# Folder to which a new run moves the results of the run before.
 EARLIER = "earlier"
 # Folder of the files of fields.
 FIELDS = "fields"
-# The surface of the particles in that folder, where their places alone do not tell it.
+# Surface of the body in that folder, written if positions alone do not determine it.
 SURFACE = "surface.h5"
-# The cells of the particles in that folder.
+# Cells of the particles in that folder.
 CELLS = "cells.h5"
-# What plot and report leave in the folder of a run.
+# Files that plot and report write into the folder of a run.
 DRAWN = ("deformed.png", "deformed.gif", "deformed.mp4", "history.png", "curve.png", "newton.png", "report.html")
-# How files begin that may have no mark.
+# First bytes of files that may have no mark.
 _WITHOUT_MARK = {".csv": (b"step,t,", b"step,t\r", b"step,t\n", b"particle,particles,"), ".png": (b"\x89PNG",)}
 _STEP = re.compile(r"step_\d{5,}\.h5")
 
 
 @dataclass(frozen=True)
 class Holder:
-    """The process that a folder belongs to; ``started`` tells two processes with the same number apart."""
+    """The process that locks a folder; ``started`` distinguishes processes with the same id."""
 
     host: str
     pid: int
@@ -45,27 +45,27 @@ class Holder:
 
     @property
     def words(self) -> str:
-        """Return it as the lock file has it."""
+        """Return the text of the lock file."""
         return json.dumps({"host": self.host, "pid": self.pid, "started": self.started}) + "\n"
 
     @property
     def gone(self) -> bool:
-        """Return True if it is known that the process has ended: it was on this machine and is not there any more."""
-        # Of another user's process a system may not tell when it started.
+        """Return True if the process is known to have ended, which is possible for processes of this machine only."""
+        # The system may hide the start of another user's process.
         return self.host == socket.gethostname() and _started(self.pid) not in (self.started, "unknown")
 
 
 @contextlib.contextmanager
 def holding(comm: Comm, folder: Path) -> Iterator[None]:
-    """Make the output folder, and keep it for this run while the body runs (collective).
+    """Create the output folder, and lock it while the body runs (collective).
 
-    A file in it names host and process. It needs no locks of the file system; a run that was killed leaves it behind,
-    and the next one on the same machine sees that its process is gone.
+    A lock file names host and process; no locks of the file system are required. A killed run leaves the file behind,
+    and the next run on the same machine detects that its process has ended.
 
     Raises
     ------
     CaseError
-        Another run is in the folder, or it cannot be written to; on all ranks.
+        Another run locks the folder, or the folder cannot be written to; on all ranks.
     """
     me = Holder(socket.gethostname(), os.getpid(), _started(os.getpid()))
     with agreed(comm):
@@ -87,7 +87,7 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
 
 
 def holder_of(folder: Path) -> Holder | None:
-    """Return the process that a run in a folder belongs to, also one that has ended; None where there is none."""
+    """Return the process that locks a folder, also if it has ended; None without a valid lock file."""
     try:
         return _holder(_read(folder / LOCK))
     except OSError:
@@ -96,9 +96,9 @@ def holder_of(folder: Path) -> Holder | None:
 
 @contextlib.contextmanager
 def _one_at_a_time(folder: Path) -> Iterator[None]:
-    """Let one process of this machine at a time look at the lock of a folder, where the file system has locks.
+    """Let one process of this machine at a time access the lock file of a folder, if the file system has locks.
 
-    Only processes of this machine can find that a lock is old, and two that do must not remove each other's new one.
+    Only processes of this machine can detect a stale lock file, and two of them must not replace each other's new file.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -116,11 +116,11 @@ def _one_at_a_time(folder: Path) -> Iterator[None]:
 
 
 def _take(folder: Path, me: Holder) -> None:
-    """Put the lock of this process into a folder; raises CaseError if another one holds it, OSError."""
+    """Write the lock file of this process into a folder; raises CaseError if another process locks it, OSError."""
     lock = folder / LOCK
     _refuse_holder(folder, lock)
     write_whole(lock, me.words, wait=False)
-    # Where the file system has no locks two processes may have found the folder free; the last one has it.
+    # Without locks of the file system two processes may find the folder free; the last one gets it.
     if _read(lock) != me.words:
         raise CaseError(f"Another run is starting in {folder}; choose another folder.")
 
@@ -134,7 +134,7 @@ def _read(path: Path) -> str:
 
 
 def _refuse_holder(folder: Path, lock: Path) -> None:
-    """Raise CaseError if the process of a lock has not ended, or nobody can tell."""
+    """Raise CaseError unless the process of a lock file is known to have ended."""
     try:
         holder = _holder(_read(lock))
     except FileNotFoundError:
@@ -162,7 +162,7 @@ def _holder(text: str) -> Holder | None:
 
 
 def _started(pid: int) -> str:
-    """Return when a process of this machine started, in words that no other process has; empty where there is none."""
+    """Return the start of a process of this machine as a unique text; empty if it has ended, "unknown" if hidden."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
@@ -178,19 +178,19 @@ def _started(pid: int) -> str:
 
 
 def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
-    """Move what an earlier run left in the folder into ``earlier/``, in place of what is there (collective).
+    """Move the results of an earlier run into ``earlier/`` and replace those in it (collective).
 
     Only files that pdpetsc wrote are touched.
 
     Parameters
     ----------
     keep : Path, optional
-        Checkpoint that this run goes on from.
+        Checkpoint from which this run continues.
 
     Raises
     ------
     CaseError
-        A file of another origin has a name that the run would write to, or the checkpoint would be removed.
+        A file that pdpetsc did not write has the name of an output file, or the checkpoint would be removed.
     OutputError
         A file cannot be moved.
     """
@@ -220,7 +220,7 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
 
 
 def set_history_aside(comm: Comm, folder: Path) -> None:
-    """Move ``history.csv`` into ``earlier/``, where a run goes on in its folder that cannot go on in it (collective).
+    """Move ``history.csv`` into ``earlier/``, for a restart that cannot continue this file (collective).
 
     Raises
     ------
@@ -231,9 +231,9 @@ def set_history_aside(comm: Comm, folder: Path) -> None:
 
 
 def set_pictures_aside(comm: Comm, folder: Path) -> None:
-    """Move pictures and the report into ``earlier/``, where a run goes on in its folder: they show it as it was.
+    """Move pictures and report into ``earlier/``, because a restart in the same folder outdates them (collective).
 
-    Collective. What pdpetsc did not draw stays.
+    Files that pdpetsc did not draw stay.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def _move_aside(comm: Comm, folder: Path, names: Sequence[str], is_ours: Callabl
 
 
 def _of_earlier_run(folder: Path) -> list[Path]:
-    """Return the files of a run in a folder, the checkpoint first; raises CaseError where one is not pdpetsc's."""
+    """Return the files of a run in a folder, the checkpoint first; raises CaseError if one is not of pdpetsc."""
     names = (
         "checkpoint.h5",
         "history.csv",
@@ -281,13 +281,13 @@ def _of_earlier_run(folder: Path) -> list[Path]:
     for path in found:
         if path.is_symlink() or not path.is_file() or not _marked(path):
             raise CaseError(f"{path} was not written by pdpetsc, or is damaged; move it away or choose another folder.")
-    # What was drawn of the earlier run on demand; a run does not write it, so that another origin is no reason to stop.
+    # Drawings made on demand. A run does not write these files, so files of another origin are no error.
     drawn = [folder / name for name in DRAWN]
     return found + [path for path in drawn if not path.is_symlink() and path.is_file() and _is_drawn(path)]
 
 
 def _marked(path: Path) -> bool:
-    """Return True if pdpetsc wrote a file: by its mark, or as a table or old picture beside the summary of a run."""
+    """Return True if pdpetsc wrote a file: it has a mark, or is a table or old picture beside the summary of a run."""
     if path.suffix == ".json":
         return _is_summary(path)
     with path.open("rb") as file:
@@ -299,7 +299,7 @@ def _marked(path: Path) -> bool:
 
 
 def _is_drawn(path: Path) -> bool:
-    """Return True if pdpetsc drew a file, by its mark."""
+    """Return True if a file has the mark of a drawing by pdpetsc."""
     with path.open("rb") as file:
         return b"pdpetsc" in file.read(4096) or (path.suffix == ".gif" and b"pdpetsc" in path.read_bytes())
 

@@ -19,17 +19,17 @@ from pdpetsc.solvers.protocol import Converged
 
 
 class History(Observer):
-    """Evaluates the quantities of a case.
+    """Evaluate and write the quantities of a case.
 
     Parameters
     ----------
     quantities : mapping of str to Quantity
-        By the names of their columns, which follow step and step time.
+        Quantities by the names of their columns, which follow step and step time.
 
     Attributes
     ----------
     columns : dict of str to list of float
-        The history so far, with the rows before a restart.
+        The history so far, including the rows before a restart.
     table : Table
         The file.
     """
@@ -41,7 +41,7 @@ class History(Observer):
         self.columns: dict[str, list[float]] = {name: [] for name in ("step", "t", *quantities)}
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Evaluate the quantities, which must be numbers, and print their notes."""
+        """Evaluate the quantities and print their notes; raises CaseError unless they are numbers."""
         for name, quantity in self.quantities.items():
             value = quantity.evaluate(start)
             note = quantity.note(start)
@@ -54,7 +54,7 @@ class History(Observer):
                     )
 
     def begin(self, observed: Observed) -> None:
-        """Write the rows before a restart and that of the start in one piece."""
+        """Write the rows before a restart and the row of the initial state at once."""
         super().begin(observed)
         start, origin, comm = observed.last, observed.origin, observed.comm
         rows: list[list[float]] | None = []
@@ -70,7 +70,7 @@ class History(Observer):
         rows = [row for row in rows or [] if row[0] < start.step]
         for row in rows:
             self._remember(row)
-        # One write for all rows: a run that dies here leaves the earlier table or this one.
+        # One write for all rows: a run that is killed here leaves either the earlier table or this one.
         rows.append(self._evaluated(start))
         self.table = Table(comm, observed.folder / "history.csv", [list(self.columns), *map(_written, rows)])
 
@@ -80,7 +80,7 @@ class History(Observer):
         return {}
 
     def end(self) -> None:
-        """Wait until all rows are on the disk."""
+        """Flush all rows to disk."""
         self.table.flush()
 
     def _evaluated(self, solution: Solution) -> list[float]:

@@ -1,4 +1,4 @@
-"""``fields.h5`` and ``fields.xdmf``, which make one file of the files of all steps, for scripts and ParaView."""
+"""``fields.h5`` and ``fields.xdmf``, which join the files of all steps, for scripts and ParaView."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing
 from pdpetsc.output.folder import CELLS, FIELDS
 
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
-# Numbers of XDMF for cells with other than polygonal faces, by their corners.
+# XDMF types of solid cells, by number of corners.
 _POLYHEDRA = {4: 6, 5: 7, 6: 8, 8: 9}
 _POLYLINE, _POLYGON = 2, 3
 _NUMBERS = {"f": "Float", "i": "Int", "u": "UInt"}
@@ -32,7 +32,7 @@ _FOOT = "</Grid></Domain></Xdmf>\n"
 
 @dataclass(frozen=True)
 class Part:
-    """How an array is on disk: its name, components per particle and type of number."""
+    """An array on disk: name, components per particle and number type."""
 
     name: str
     width: int
@@ -49,37 +49,37 @@ class Step:
 
     @property
     def group(self) -> str:
-        """Return its name in ``fields.h5``."""
+        """Return the name of its group in ``fields.h5``."""
         return f"step_{self.number:05d}"
 
     @property
     def file(self) -> str:
-        """Return the name of its file, from the folder of the run."""
+        """Return the path of its file, relative to the folder of the run."""
         return f"{FIELDS}/{self.group}.h5"
 
 
 class Index:
-    """Keeps both files in agreement with the steps that are there; on one rank only.
+    """Keep both files consistent with the stored steps (one rank only).
 
-    ``fields.h5`` holds a link to each file, so that ``fields.h5["step_00005/displacement"]`` is where it is.
-    Adding a step takes a time that hardly depends on how many there are. Both files can be made again from those that
-    they name, so they reach the disk once a second, and at ``flush``.
+    ``fields.h5`` links to the file of each step, as in ``fields.h5["step_00005/displacement"]``.
+    The time to add a step hardly depends on the number of steps. Both files can be rebuilt from the files of the steps,
+    so they are flushed to disk at most once a second, and by ``flush``.
 
     Parameters
     ----------
     folder : Path
-        Of the run.
+        Folder of the run.
     n : int
-        Particles.
+        Number of particles.
     steps : sequence of Step
-        What is there already, in order.
+        Steps that are stored already, in order.
     cells : Cells, optional
         The cells in ``fields/cells.h5``; without them ParaView shows points.
 
     Raises
     ------
     OutputError
-        A file cannot be written; both are as they were, or agree with the steps.
+        A file cannot be written; both files stay unchanged or consistent with the steps.
     """
 
     def __init__(self, folder: Path, n: int, steps: Sequence[Step], cells: Cells | None = None) -> None:
@@ -100,7 +100,7 @@ class Index:
         write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]))
 
     def add(self, step: Step) -> None:
-        """Take in a step whose file is there, in place of the last one where it has the same number."""
+        """Add a step whose file is stored; replace the last step if it has the same number."""
         wait = time.monotonic() - self._flushed > WAIT
         with replacing(self._links, wait) as aside:
             shutil.copyfile(self._links, aside, follow_symlinks=False)
@@ -117,7 +117,7 @@ class Index:
             self._flushed = time.monotonic()
 
     def flush(self) -> None:
-        """Wait until both files are on the disk; raises OutputError."""
+        """Flush both files to disk; raises OutputError."""
         if self._waiting:
             for path in (self._links, self._xdmf, self._links.parent):
                 try:
@@ -127,10 +127,10 @@ class Index:
             self._flushed, self._waiting = time.monotonic(), False
 
     def _geometry(self, cells: Cells | None) -> tuple[str, str]:
-        """Return what ParaView reads of cells or, without any, of points, and whether values are of cells or nodes."""
+        """Return topology and geometry in XDMF, of cells or else of points, and where the values are: cell or node."""
         places, center = self._item(Part("position", 3, "f8"), f"{FIELDS}/particles.h5", self._n), "Node"
         shape = f'<Topology TopologyType="Polyvertex" NumberOfElements="{self._n}"/>'
-        # XDMF has no cells that share the values of a particle.
+        # In XDMF several cells cannot share the value of a particle.
         if cells is not None and (cells.particle is None or len(cells.particle) == self._n):
             file = f"{FIELDS}/{CELLS}"
             numbers = self._item(Part("topology", 1, "i8"), file, len(topology(cells)))
@@ -140,7 +140,7 @@ class Index:
         return f'{shape}\n<Geometry GeometryType="XYZ">{places}</Geometry>', center
 
     def _grid(self, step: Step) -> str:
-        """Return what ParaView reads of a step."""
+        """Return the grid of a step in XDMF."""
         values = [(Part("volume", 1, "f8"), f"{FIELDS}/particles.h5")]
         values += [(part, step.file) for part in sorted(step.parts, key=lambda part: part.name)]
         lines = [
@@ -166,7 +166,7 @@ class Index:
 
 
 def topology(cells: Cells) -> GlobalIndex:
-    """Return the cells as XDMF has them: number of the kind, of lines and polygons the number of corners, corners."""
+    """Return the topology of XDMF: type, number of corners (of lines and polygons) and corners of each cell."""
     dim, count = cells.points.shape[1], cells.count
     if dim == 3:
         kinds = np.zeros(max(_POLYHEDRA) + 1, dtype=np.int64)
@@ -177,18 +177,18 @@ def topology(cells: Cells) -> GlobalIndex:
 
 
 def entries(dim: int) -> list[tuple[int, str]]:
-    """Return column and name of the entries of a tensor (n, 9) that a body of ``dim`` dimensions may have."""
+    """Return column and name of the entries of a tensor (n, 9) that may be nonzero in ``dim`` dimensions."""
     names = [(i, j) for i in range(3) for j in range(3) if i == j or (i < dim and j < dim)]
     return [(3 * i + j, "xyz"[i] + "xyz"[j]) for i, j in names]
 
 
 def part_of(name: str, shape: tuple[int, ...], dtype: np.dtype) -> Part:  # type: ignore[type-arg]
-    """Return how an array (n, ...) of this type is on disk."""
+    """Return the description of an array (n, ...) of this type on disk."""
     return Part(name, int(np.prod(shape[1:])), f"{dtype.kind}{dtype.itemsize}")
 
 
 def storable(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return vectors as (n, 3) and tensors as (n, 9), zero where the body has no such dimension, of a type XDMF has."""
+    """Return vectors as (n, 3) and tensors as (n, 9), padded with zeros, in a number type of XDMF."""
     if values.dtype.kind == "b":
         values = values.astype(np.uint8)
     elif not (values.dtype.kind in "iu" or values.dtype in (np.float32, np.float64)):
@@ -202,7 +202,7 @@ def storable(values: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def steps_in(folder: Path, run: str, n: int) -> list[Step]:
-    """Return the steps of a run whose fields are in its folder, in order; what cannot be read is left out."""
+    """Return the stored steps of a run in order, without files that cannot be read."""
     found = []
     for path in (folder / FIELDS).glob("step_*.h5"):
         try:
@@ -217,7 +217,7 @@ def steps_in(folder: Path, run: str, n: int) -> list[Step]:
 
 
 def remove(folder: Path, steps: Sequence[Step]) -> None:
-    """Remove the files of steps that no index names any more; raises OutputError."""
+    """Remove the files of steps that are no longer in the index; raises OutputError."""
     for step in steps:
         try:
             (folder / step.file).unlink()

@@ -1,4 +1,4 @@
-"""What axes and columns of pictures and tables say: names with the units that the case declares."""
+"""Labels of axes and columns in pictures and tables: names with the units that the case declares."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError
 
-# Fields of principal values, which are along no axes: the largest is the first.
+# Fields of principal values, numbered from the largest; they belong to no axes.
 PRINCIPAL = ("principal_strains", "principal_stresses")
-# Fields whose names are not those of the quantity.
+# Labels of fields that differ from their names.
 _WORDS = {"von_mises": "von Mises stress"}
 
 
@@ -22,9 +22,9 @@ class Labels:
     Parameters
     ----------
     units : Units or None
-        What the case declares.
+        Units that the case declares.
     history, fields : mapping of str to str
-        What kind of number each column and field is, as ``Units.of`` takes it.
+        Dimension of each column and field, as for ``Units.of``.
     """
 
     units: Units | None = None
@@ -33,7 +33,7 @@ class Labels:
 
     @classmethod
     def of(cls, summary: Mapping[str, Any]) -> Labels:
-        """Return the labels that a ``summary.json`` gives; names without units where it gives none."""
+        """Return the labels for a ``summary.json``; they have no units if it has none."""
         given, kinds = summary.get("units"), summary.get("dimensions")
         try:
             units = Units(**given) if isinstance(given, Mapping) and given else None
@@ -44,26 +44,26 @@ class Labels:
         return cls(units, *(dict(kind) if isinstance(kind, Mapping) else {} for kind in found))
 
     def column(self, name: str) -> str:
-        """Return what stands at an axis of a column of the history."""
+        """Return the axis label of a column of the history."""
         return self._with(name, self.unit_of_column(name)) if name != "t" else "load t"
 
     def unit_of_column(self, name: str) -> str:
-        """Return the unit of a column of the history; empty where there is none."""
+        """Return the unit of a column of the history; empty if it has none."""
         return self._unit(self.history.get(name, ""))
 
     def field(self, name: str, component: str = "") -> str:
-        """Return what stands at the scale of a field component."""
+        """Return the label of the colour scale of a field component."""
         words = _WORDS.get(name, name.replace("_", " "))
         if name in PRINCIPAL:
             component = component.translate(str.maketrans("xyz", "123"))
         return self._with(f"{words} {component}".strip(), self._unit(self._kind(name)))
 
     def unit_of_field(self, name: str) -> str:
-        """Return the unit of a field; empty where there is none."""
+        """Return the unit of a field; empty if it has none."""
         return self._unit(self._kind(name))
 
     def axis(self, letter: str) -> str:
-        """Return what stands at an axis of positions."""
+        """Return the label of a coordinate axis."""
         return self._with(letter, self._unit("length"))
 
     def length(self, value: float) -> str:
@@ -71,11 +71,11 @@ class Labels:
         return f"{value:.4g} {self._unit('length')}".strip()
 
     def first_of(self, dimension: str) -> str | None:
-        """Return the first column of a kind; None where there is none."""
+        """Return the first column with a dimension; None if there is none."""
         return next((name for name, kind in self.history.items() if kind == dimension), None)
 
     def _kind(self, name: str) -> str:
-        # The entries of a tensor are what it is: stress_xx.
+        # An entry of a tensor has the dimension of the tensor: stress_xx.
         head, _, tail = name.rpartition("_")
         of_entry = len(tail) == 2 and set(tail) <= set("xyz") and name not in self.fields
         return self.fields.get(head if of_entry else name, "")

@@ -1,4 +1,4 @@
-"""Observers of a run: each records or judges one subject of it."""
+"""Observers of a run: each records or checks one aspect of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.protocol import Converged, Solver
 
-# What ``summary.json`` says of each step of a run.
+# Records of the steps of a run in ``summary.json``.
 StepRecords: TypeAlias = Sequence[Mapping[str, Any]]
 
 
@@ -29,7 +29,7 @@ class Origin:
     path : Path
         The file.
     run : str
-        Identifies the run that wrote it.
+        Identifier of the run that wrote it.
     steps : sequence of mapping
         The records of the steps up to it.
     tables : mapping of str to str
@@ -54,21 +54,21 @@ class Observed:
     Attributes
     ----------
     folder : Path
-        Where files are written.
+        Folder of the output files.
     run : str
-        Identifies the run in its files.
+        Identifier of the run in its files.
     report : Report
-        Takes lines and warnings.
+        Prints lines and warnings.
     solver : Solver
-        Finds the steps.
+        Solver of the steps.
     order : InCreationOrder
-        Of the particles in files.
+        Order of the particles in files.
     last : Solution
         The last converged state; at the beginning the state from which the run starts.
     origin : Origin or None
         The checkpoint from which it continues.
     steps : list of dict
-        The records of all steps so far, with those before a restart.
+        The records of all steps so far, including those before a restart.
     """
 
     folder: Path
@@ -97,7 +97,7 @@ class Observed:
 
 
 class Observer:
-    """Records or judges one subject of a run; a subclass overrides what it needs.
+    """Record or check one aspect of a run; subclasses override the methods that they need.
 
     Attributes
     ----------
@@ -112,34 +112,34 @@ class Observer:
     observed: Observed
 
     def rehearse(self, start: Solution, report: Report) -> None:
-        """Evaluate once what the case asks for; nothing is written yet.
+        """Evaluate the requested output once; nothing is written yet.
 
         Raises
         ------
         CaseError
-            The case asks for something that cannot be recorded; the folder stays as it was.
+            The case requests output that cannot be recorded; the folder stays unchanged.
         """
 
     def begin(self, observed: Observed) -> None:
-        """Record the state from which the run starts; the folder belongs to the run."""
+        """Record the initial state; the folder is locked for the run."""
         self.observed = observed
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
-        """Record a converged step; return what its record in ``summary.json`` says of it."""
+        """Record a converged step; return entries for its record in ``summary.json``."""
         return {}
 
     def end(self) -> None:
-        """Write what is left to write, when the run has converged or after an error; it may be called again."""
+        """Write remaining output, after convergence or an error; may be called more than once."""
 
     def judge(self) -> None:
-        """Judge the last state of a run that has converged, before the summary is written."""
+        """Check the last state of a converged run, before the summary is written."""
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
         """Return the entries of ``summary.json``, from the records of all steps."""
         return {}
 
     def results(self) -> Mapping[str, float]:
-        """Return named results besides those of the case (not collective)."""
+        """Return named results in addition to those of the case (not collective)."""
         return {}
 
     def warnings(self, steps: StepRecords) -> Sequence[str]:
@@ -147,17 +147,17 @@ class Observer:
         return ()
 
     def finish(self) -> None:
-        """Do what is left after the summary of a run that has converged is written."""
+        """Finish a converged run, after the summary is written."""
 
 
 class StepLines(Observer):
-    """The line of the log for each step."""
+    """Print a line for each step."""
 
     def begin(self, observed: Observed) -> None:
         super().begin(observed)
         observed.report.begin(observed.last.t, observed.last.step)
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
-        """Print the line of the solver."""
+        """Print the line of a converged step."""
         self.observed.report.step(converged.t, self.observed.solver.line(solution.step, converged))
         return {}

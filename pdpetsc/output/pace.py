@@ -1,4 +1,4 @@
-"""How fast a run goes on: time per step, expected end, memory."""
+"""Progress of a run: time per step, expected end, memory."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-# Steps that the pace is taken from.
+# Number of last steps from which the pace is computed.
 RECENT = 8
 
 
 class Pace:
-    """Follows the steps of a run by a clock.
+    """Measure the time per step of a run.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Pace:
     steps : int
         Steps so far.
     t : float
-        Step time that they have come to [-].
+        Current step time [-].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -37,33 +37,33 @@ class Pace:
         self.t = 0.0
 
     def begin(self, t: float = 0.0, steps: int = 0) -> None:
-        """Take it that the next step begins now, at a step time after so many steps of a run that this one goes on."""
+        """Start the clock for the next step, at step time ``t`` and after ``steps`` earlier steps."""
         self.steps, self.t = steps, t
         self._marks.clear()
         self._marks.append((self._clock(), t))
 
     def step(self, t: float) -> None:
-        """Take that a step has come to its end, at a step time."""
+        """Record the end of a step at step time ``t``."""
         self.steps += 1
         self.t = t
         self._marks.append((self._clock(), t))
 
     @property
     def per_step(self) -> float:
-        """Return the seconds that each of the last steps took; nan before the first has ended."""
+        """Return the mean time of the last steps [s]; nan before the first step has ended."""
         count = len(self._marks) - 1
         return (self._marks[-1][0] - self._marks[0][0]) / count if count else math.nan
 
     @property
     def since(self) -> float:
-        """Return the seconds since the last step ended."""
+        """Return the time since the last step ended [s]."""
         return self._clock() - self._marks[-1][0]
 
     @property
     def left(self) -> float:
-        """Return the seconds until step time 1 at the pace of the last steps.
+        """Return the time until step time 1 at the pace of the last steps [s].
 
-        nan where that tells nothing: before the first step has ended, and where the load does not grow.
+        The result is nan before the first step has ended, if the load does not grow, and beyond step time 1.
         """
         (begin, low), (end, high) = self._marks[0], self._marks[-1]
         if not (high > low and end > begin and high <= 1.0):
@@ -71,7 +71,7 @@ class Pace:
         return max(0.0, (1.0 - high) * (end - begin) / (high - low) - self.since)
 
     def words(self) -> str:
-        """Return it in words, as far as it is known."""
+        """Return the progress in words, as far as it is known."""
         said = [f"step {self.steps}", f"t = {self.t:.4g}"]
         if math.isfinite(self.per_step):
             said.append(f"{_seconds(self.per_step)} a step")
@@ -86,7 +86,7 @@ class Pace:
 
 
 def memory_now() -> int:
-    """Return the memory that this process takes [bytes]; 0 where the system does not tell."""
+    """Return the memory of this process [bytes]; 0 if the system does not report it."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return 0

@@ -23,15 +23,15 @@ from pdpetsc.output.scene import Scene, frame_of, scene_of
 from pdpetsc.post.picture import Cut
 
 LOG = logging.getLogger("pdpetsc")
-# Dots per inch of pictures that are kept, and of the frames of a film.
+# Resolution of pictures and of the frames of a film [dots per inch].
 DPI, DPI_OF_FRAMES = 150, 90
-# Frames of a film at most, and how many of them in a second.
+# Largest number of frames of a film, and frames per second.
 FRAMES, PER_SECOND = 120, 10
 # Steps of a film that one process draws.
 TOGETHER = 8
-# How long PyVista may take to draw one picture [s].
+# Time limit of PyVista for one picture [s].
 LONGEST = 120
-# What tells a later run in the folder that it may move the file away.
+# Mark by which a later run recognises pictures that it may move aside.
 MARK = {"Software": "pdpetsc"}
 _SOLID = Path(__file__).with_name("solid.py")
 
@@ -55,9 +55,10 @@ def draw_field(
 
 
 def picture_of_run(folder: Path, field: str | None = None, component: str = "", scale: float = 1.0) -> bytes | None:
-    """Return a picture of a run as PNG: of a field at the last step, by default the one drawn at the end of the run.
+    """Return a picture of a run at the last step as PNG, by default the picture drawn at the end of the run.
 
-    None for a run without displacements. A run that has drawn none is coloured by its von Mises stress, if it has that.
+    If there is none, the colours show von Mises stress or, without this field, the displacement along x. The result is
+    None if no field is chosen and the run has neither a picture nor displacements.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def picture_of_run(folder: Path, field: str | None = None, component: str = "", 
 def _kept_picture(folder: Path) -> bytes | None:
     try:
         path = folder / "picture.png"
-        # It is drawn after the last summary; an older one is of the part of a run before a restart.
+        # The picture is drawn after the last summary; an older picture shows the run before a restart.
         return path.read_bytes() if path.stat().st_mtime >= (folder / "summary.json").stat().st_mtime else None
     except OSError:
         return None
@@ -90,13 +91,13 @@ def draw_film(
 ) -> int:
     """Draw a field of all steps into a ``.gif`` or ``.mp4`` and return the number of frames (one rank only).
 
-    Colours and axes are the same in all frames. Of more than 120 steps every n-th is drawn.
+    All frames have the same colour scale and axes. If there are more than 120 steps, every n-th is drawn.
 
     Raises
     ------
     CaseError
-        There is no such field or component, the cuts are not possible, the name ends otherwise, or nothing here writes
-        films of this kind.
+        There is no such field or component, the cuts are not possible, the file name has another suffix, or no
+        installed program writes films of this format.
     OutputError
         The film cannot be written.
     """
@@ -124,7 +125,7 @@ def _gif(frames: list[Path], path: Path) -> None:
     from PIL import Image
 
     opened = [Image.open(frame).convert("P", palette=Image.Palette.ADAPTIVE) for frame in frames]
-    # The last one stays a second longer.
+    # The last frame is shown one second longer.
     times = [1000 // PER_SECOND] * (len(frames) - 1) + [1000 + 1000 // PER_SECOND]
     with path.open("wb") as file:
         opened[0].save(
@@ -145,7 +146,7 @@ def _mp4(frames: list[Path], path: Path) -> None:
     from matplotlib.image import imread
 
     first = imread(frames[0])
-    # The code of most players wants even numbers of points.
+    # Most players require even numbers of pixels.
     height, width = (size // 2 * 2 for size in first.shape[:2])
     figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -161,7 +162,7 @@ def _mp4(frames: list[Path], path: Path) -> None:
 def _draw_scenes(
     scenes: Sequence[Scene], paths: Sequence[Path], kind: str, box: tuple[Float, Float] | None = None, dpi: int = DPI
 ) -> None:
-    """Draw steps into files of this kind; ``box`` are the corners of all that a film shows."""
+    """Draw steps into files of a format; ``box`` holds the corners common to all frames of a film."""
     if scenes[0].dim == 3 and kind == "png" and _drawn_by_pyvista(scenes, paths, box):
         return
     for scene, path in zip(scenes, paths, strict=True):
@@ -184,7 +185,7 @@ def _draw_scene(scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | 
 
 
 def _framed(scene: Scene, box: tuple[Float, Float] | None) -> tuple[Float, Float]:
-    """Return the corners of the picture: those of the body, with a margin, and room for the circle of the horizon."""
+    """Return the corners of the picture: the body, a margin, and space for the circle of the horizon."""
     low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
     margin = _margin(scene, low, high)
     low, high = low - margin, high + margin
@@ -198,7 +199,7 @@ def _margin(scene: Scene, low: Float, high: Float) -> float:
 
 
 def _size(low: Float, high: Float, dim: int) -> tuple[float, float]:
-    """Return the size of a figure that a plane body about fills [inch]."""
+    """Return the size of a figure, for a plane body adapted to its proportions [inch]."""
     if dim != 2:
         return 9.0, 4.5 if dim == 1 else 6.0
     width, height = np.maximum((high - low)[:2], 1e-3 * float((high - low).max()))
@@ -213,7 +214,7 @@ def _curve(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     axes.plot(scene.x[order, 0], scene.values[order], ".-" if few else "-", markersize=4, linewidth=1.2)
     axes.set(xlabel=scene.labels.axis("x"), ylabel=scene.label)
     if np.ptp(scene.values) <= 1e-9 * np.abs(scene.values).max():
-        # Round-off is no pattern.
+        # Do not magnify round-off.
         middle = float(np.median(scene.values))
         axes.set_ylim(middle - (0.05 * abs(middle) or 1.0), middle + (0.05 * abs(middle) or 1.0))
     axes.grid(alpha=0.3)
@@ -256,7 +257,7 @@ def _horizon(axes: Any, scene: Scene, low: Float, high: Float) -> None:
 
 
 def _scale_of_colours(figure: Any, axes: Any, drawn: Any, scene: Scene) -> None:
-    """Put the scale beside the body, with arrows where values lie beyond it."""
+    """Draw the colour scale beside the body, with arrows if values lie beyond its ends."""
     low, high = scene.limits
     finite = scene.values[np.isfinite(scene.values)]
     beyond = (bool((finite < low).any()), bool((finite > high).any()))
@@ -289,11 +290,11 @@ def _from_behind(scene: Scene) -> bool:
 
 
 def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple[Float, Float] | None) -> bool:
-    """Draw solid bodies with PyVista, if it is there and works without a display; return whether it did."""
+    """Draw solid bodies with PyVista; return False if it is not installed or does not work without a display."""
     if importlib.util.find_spec("pyvista") is None:
         LOG.info("PyVista is not installed: the solid body is drawn by Matplotlib (pip install pyvista)")
         return False
-    # Of MPI's variables the other process must not know: it would take itself for a rank.
+    # With the variables of MPI the other process would start as a rank.
     of_mpi = ("OMPI_", "PMI_", "PMIX_", "MPI_", "HYDRA_", "PRTE_")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(of_mpi)}
     environment["MPLBACKEND"] = "agg"
@@ -321,10 +322,10 @@ def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple
 
 
 def _hand_over(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> None:
-    """Write what the other process draws."""
+    """Write the arrays that the other process draws."""
     low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
     cells = scene.cells
-    # Polygons as VTK has them: each after its number of corners.
+    # Polygons in the format of VTK: the number of corners, then the corners.
     polygons = np.insert(cells.corners, cells.offsets[:-1], cells.count)
     np.savez(
         path, points=cells.points, polygons=polygons, values=scene.values[cells.owner], limits=np.array(scene.limits),
@@ -335,7 +336,7 @@ def _hand_over(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> Non
 
 
 def _mark(source: Path, path: Path) -> None:
-    """Copy a picture with a mark of who made it, by which a later run knows that it may move it away."""
+    """Copy a picture and mark it as drawn by pdpetsc, so that a later run may move it aside."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

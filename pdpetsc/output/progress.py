@@ -1,4 +1,4 @@
-"""What a run says while it goes on, on rank 0 only: to Python's logging, or on a terminal."""
+"""Messages of a run, printed on rank 0 only: to the logging of Python or to a terminal."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from pdpetsc.output.pace import Pace
 from pdpetsc.solvers.protocol import StepResult
 
 LOG = logging.getLogger("pdpetsc")
-# In a log without a terminal, the least time between lines on how the run goes on [s].
+# Least time between progress lines without a terminal [s].
 EVERY = 120.0
 
 
 class Report(ABC):
-    """Takes what a run has to say, in a ``with`` block around the run; every rank has one.
+    """Print the messages of a run; use it on every rank, in a ``with`` block around the run.
 
     Parameters
     ----------
     comm : Comm
-        The ranks of the run; only rank 0 says anything.
+        The ranks of the run; only rank 0 prints.
     """
 
     def __init__(self, comm: Comm) -> None:
@@ -42,25 +42,25 @@ class Report(ABC):
         return self
 
     def begin(self, t: float, steps: int) -> None:
-        """Take that the first step of this run begins, at a step time and after steps of the run that it goes on."""
+        """Start the progress at step time ``t``, after ``steps`` earlier steps."""
         self.pace.begin(t, steps)
 
     def __exit__(self, *_: object) -> None:  # noqa: B027 - most have nothing to end
-        """End it."""
+        """End the report."""
 
     @abstractmethod
     def say(self, text: str) -> None:
-        """Take a line."""
+        """Print a line."""
 
     def detail(self, text: str) -> None:  # noqa: B027 - most reports leave details out
-        """Take a line for those who want to know how the numbers come about."""
+        """Print a line of details."""
 
     @abstractmethod
     def warn(self, text: str) -> None:
-        """Take a sentence that should be read."""
+        """Print a warning."""
 
     def step(self, t: float, line: str | None) -> None:
-        """Take the step time that the run has come to, and the line of a converged step where it has one."""
+        """Record the end of a step at step time ``t``, and print its line, if any."""
         self.pace.step(t)
         if line is not None:
             self.say(line)
@@ -69,21 +69,21 @@ class Report(ABC):
             self.on_the_way(self.pace.words())
 
     def on_the_way(self, words: str) -> None:
-        """Take how a long run goes on, from time to time."""
+        """Print the progress of a long run, from time to time."""
         self.say(f"  {words}")
 
     def cut_back(self, t: float, dt: float, result: StepResult) -> None:
-        """Take that a step failed and is tried shorter."""
+        """Print that a step failed and is repeated with a shorter step."""
         self.say(f"           t > {t:<8.6g} failed: {result.reason}; trying a step of {dt:.3g}")
 
     def results(self, results: Mapping[str, float], labels: Labels) -> None:
-        """Take the named results; those with the name of a column of the history have its unit."""
+        """Print the named results; a result with the name of a column of the history has its unit."""
         for name, value in results.items():
             self.say(f"  {name} = {value:.8g} {labels.unit_of_column(name)}".rstrip())
 
 
 class LogReport(Report):
-    """Passes lines to the logger ``pdpetsc`` as information, details for debugging, and warnings as warnings."""
+    """Send lines, details and warnings to the logger ``pdpetsc`` with the levels INFO, DEBUG and WARNING."""
 
     def say(self, text: str) -> None:
         if self._speaks:
@@ -99,29 +99,29 @@ class LogReport(Report):
 
 
 class _Console(Console):
-    """A console that goes silent where nobody reads it any more, as behind ``| head``; rich would end the process."""
+    """A console that goes silent if its pipe is closed, as by ``| head``; rich would end the process."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
 
 
 class _Words(ProgressColumn):
-    """How the run goes on, in words."""
+    """The progress of the run in words."""
 
     def __init__(self, pace: Pace) -> None:
         super().__init__()
         self._pace = pace
 
     def render(self, task: Task) -> Text:
-        """Return the words of this moment."""
+        """Return the current progress."""
         now = f", {self._pace.since:.0f} s in this one" if self._pace.since > 2.0 else ""
         return Text(f"{self._pace.words()}{now}", no_wrap=True, overflow="ellipsis")
 
 
 class ConsoleReport(Report):
-    """Prints a line per step, and one at the bottom of a terminal that tells how the run goes on.
+    """Print a line per step, and a progress line at the bottom of a terminal.
 
-    Where nobody watches, that line is printed every two minutes instead.
+    Without a terminal the progress is printed every two minutes instead.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class ConsoleReport(Report):
         self._progress.stop()
 
     def begin(self, t: float, steps: int) -> None:
-        """Show the line from the first step on."""
+        """Show the progress line from the first step on."""
         super().begin(t, steps)
         self._progress.update(self._task, visible=True)
 
@@ -166,20 +166,20 @@ class ConsoleReport(Report):
                 print(f"pdpetsc: {text}", file=sys.stderr, flush=True)
 
     def step(self, t: float, line: str | None) -> None:
-        """Move the bar to a step time, and print the line."""
+        """Move the progress bar to step time ``t``, and print the line."""
         self._progress.update(self._task, completed=min(t, 1.0))
         super().step(t, line)
 
     def on_the_way(self, words: str) -> None:
-        """Print it where there is no line that says so all the time."""
+        """Print the progress unless a progress line shows it."""
         if not self._lives:
             super().on_the_way(words)
 
 
 def _watched(comm: Comm) -> bool:
-    """Return True if somebody sees what this rank prints on its terminal.
+    """Return True if the output of this rank reaches a terminal.
 
-    mpirun gives every rank a terminal, whatever its own output is; where it is on this machine, that one tells.
+    mpirun gives every rank a terminal, so the output of mpirun itself is checked, if it runs on this machine.
     """
     if comm.size == 1 and "OMPI_COMM_WORLD_SIZE" not in os.environ:
         return True

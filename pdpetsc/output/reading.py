@@ -1,4 +1,4 @@
-"""Reading what a run left in its folder: summary, history, fields."""
+"""Reading the results of a run from its folder: summary, history, fields."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pdpetsc.output.files import open_hdf5
 
 _TABLE: TypeAlias = Mapping[str, Any]
 _ROWS: TypeAlias = Sequence[Mapping[str, Any]]
-# Types of what readers of a summary take out of it.
+# Types of the entries of a summary that are read.
 _OF_SUMMARY: dict[str, Any] = {
     "status": str, "results": _TABLE, "doubts": Mapping[str, _TABLE], "dimension": int, "thickness": float,
     "horizon": float, "cuts": _ROWS, "cracks": Sequence[Sequence[Sequence[float]]], "steps": _ROWS, "checks": _ROWS,
@@ -32,7 +32,7 @@ _OF_SUMMARY: dict[str, Any] = {
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """Return ``summary.json``; raises CaseError where there is none."""
+    """Return the content of ``summary.json``; raises CaseError if it is missing or damaged."""
     try:
         found = json.loads((folder / "summary.json").read_text())
     except (OSError, ValueError, RecursionError) as error:
@@ -58,12 +58,12 @@ def read_history(folder: Path) -> dict[str, Float]:
 
 
 def read_table(path: Path) -> dict[str, Float]:
-    """Return the columns of a table of a run by name, without a torn last row.
+    """Return the columns of a table of a run by name, without an incomplete last row.
 
     Raises
     ------
     CaseError
-        There is no such table, or something else stands in it than numbers.
+        There is no such table, or it contains something other than numbers.
     """
     try:
         text = path.read_text()
@@ -87,21 +87,21 @@ class StoredFields:
     folder : Path
         Folder of the run.
     run : str, optional
-        Which run they must be of.
+        Identifier of the run that must have written the fields.
 
     Attributes
     ----------
     run : str or None
-        Which run they are of; None where the file does not tell.
+        Identifier of the run that wrote the fields; None if the file does not record it.
     steps : list of int
-        The steps that it holds.
+        The stored steps.
     n_particles : int
-        All particles.
+        Number of particles.
 
     Raises
     ------
     CaseError
-        It holds no fields that can be read; every method raises it too, where there is no such step or field.
+        The folder has no readable fields. Every method raises it if a step or field does not exist.
     """
 
     def __init__(self, folder: Path, run: str | None = None) -> None:
@@ -124,7 +124,7 @@ class StoredFields:
             return list(file[self._group(step)])
 
     def is_entry(self, name: str) -> bool:
-        """Return True if a field is an entry of a tensor that is a field too, as ``stress_xx`` of ``stress``."""
+        """Return True if a field is an entry of another field, as ``stress_xx`` of ``stress``."""
         with self._open() as file:
             return bool(file[self._group(None)][name].is_virtual)
 
@@ -134,7 +134,7 @@ class StoredFields:
         Parameters
         ----------
         stride : int
-            Every so many particles only.
+            Return every ``stride``-th particle only.
         """
         group = self._group(step)
         with self._open() as file:

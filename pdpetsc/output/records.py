@@ -18,7 +18,7 @@ from pdpetsc.output.files import WAIT, append, cannot_write, flush, write_whole
 
 
 class Table:
-    """A table of which any beginning is one: rows are added at its end, and a torn last one is left out by readers.
+    """A table that grows by rows at its end; readers ignore an incomplete last row.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Table:
     path : Path
         The file, which is replaced.
     rows : sequence of rows
-        Its header, and what it begins with.
+        Header and first rows.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class Table:
                 write_whole(path, _text(rows))
 
     def append(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Add rows, those of rank 0."""
+        """Append the rows of rank 0."""
         with agreed(self._comm):
             if is_root(self._comm):
                 append(self.path, _text(rows))
@@ -58,13 +58,13 @@ class Table:
                     self._flush()
 
     def flush(self) -> None:
-        """Wait until all rows are on the disk."""
+        """Flush all rows to disk."""
         with agreed(self._comm):
             if is_root(self._comm) and self._waiting:
                 self._flush()
 
     def read(self) -> tuple[str, bytes]:
-        """Return its name and its text (not collective); raises OutputError if it is gone."""
+        """Return name and content of the file (not collective); raises OutputError if it cannot be read."""
         try:
             return self.path.stem, self.path.read_bytes()
         except OSError as error:
@@ -85,7 +85,7 @@ def _text(rows: Sequence[Sequence[Any]]) -> str:
 
 
 def rows_of(text: str, header: Sequence[str]) -> list[list[float]] | None:
-    """Return the rows of numbers of a table up to the first one that is torn; None if it has other columns."""
+    """Return the rows of numbers of a table up to the first incomplete one; None if it has other columns."""
     whole = text[: text.rfind("\n") + 1]
     found: list[list[float]] = []
     try:
@@ -108,7 +108,7 @@ def write_summary(comm: Comm, folder: Path, summary: Mapping[str, Any]) -> None:
     Raises
     ------
     OutputError
-        It cannot be written, on all ranks; the summary before stays.
+        The file cannot be written, on all ranks; the previous summary stays.
     """
     with agreed(comm):
         if is_root(comm):
@@ -116,7 +116,7 @@ def write_summary(comm: Comm, folder: Path, summary: Mapping[str, Any]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON gives it back, with arrays as lists and None for numbers that JSON cannot hold."""
+    """Return a value as JSON reads it back: arrays as lists, and None for numbers that JSON cannot hold."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

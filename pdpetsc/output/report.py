@@ -1,4 +1,4 @@
-"""``report.html``: a run on one page that needs nothing beside it, no network and no script."""
+"""``report.html``: the report of a run on one page without network access, scripts or other files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pdpetsc.output.reading import read_history, read_summary
 from pdpetsc.output.tables import table_html, text_of
 
 FILE = "report.html"
-# Steps in the table at most: the first and the last ones of a longer run, and all that were cut back.
+# Number of first and last steps in the table of a longer run; steps that were cut back are added.
 ROWS = 200
 _STYLE = """
 :root{color-scheme:light dark;--line:#8884;--soft:#8882;--bar:#3b78b0;--good:#1a7f37;--bad:#c62828}
@@ -50,15 +50,15 @@ def write_report(folder: Path, field: str | None = None, component: str = "", sc
     Parameters
     ----------
     folder : Path
-        Of the run.
+        Folder of the run.
     field, component, scale
-        What colours the deformed body, and how much displacements are enlarged; by default the picture of the run, or
-        von Mises stress.
+        Field and component that colour the deformed body, and magnification of the displacements; by default the
+        picture of the run, or von Mises stress.
 
     Raises
     ------
     CaseError
-        The folder holds no run, or not such a field.
+        The folder holds no run or no such field.
     OutputError
         The report cannot be written.
     """
@@ -128,14 +128,14 @@ def _came_out(
 
 
 def _checked(check: Mapping[str, Any]) -> list[Any]:
-    """Return the row of a check."""
+    """Return the table row of a check."""
     numbers = [_number(check.get(name)) for name in ("value", "got", "difference", "tolerance")]
     word = _Marked("ok", "ok") if check.get("ok") else _Marked("wrong", "FAILED")
     return [check.get("result"), *numbers, word, check.get("source")]
 
 
 def _body_picture(folder: Path, field: str | None, component: str, scale: float) -> str:
-    """Return the picture of the deformed body; empty where the run has written no fields."""
+    """Return the picture of the deformed body; empty if the run has written no fields."""
     if not (folder / "fields.h5").exists():
         if field is not None:
             raise CaseError(f"{folder} holds no fields to draw.")
@@ -145,7 +145,7 @@ def _body_picture(folder: Path, field: str | None, component: str, scale: float)
 
 
 def _notes(summary: Mapping[str, Any]) -> str:
-    """Return what whoever reads the numbers has to know."""
+    """Return the notes and warnings on the results."""
     notes = []
     status = summary.get("status")
     if status == "running":
@@ -267,7 +267,7 @@ def _timing(summary: Mapping[str, Any]) -> str:
 
 
 class _Marked(str):
-    """A word of a table with a class of style."""
+    """A word in a table with a CSS class."""
 
     style: str
 
@@ -278,7 +278,7 @@ class _Marked(str):
 
 
 class _Bar(float):
-    """A share, drawn as a bar."""
+    """A fraction that is drawn as a bar."""
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

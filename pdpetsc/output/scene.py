@@ -1,4 +1,4 @@
-"""What a picture shows of a step: places, values, cracks and words, read from the folder of a run."""
+"""Content of the picture of a step: positions, values, cracks and labels, read from the folder of a run."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from pdpetsc.output.surface import read_cells
 from pdpetsc.post.picture import Cut, refuse_empty, uncut
 from pdpetsc.post.point_location import Held
 
-# Particles drawn at most; of a larger cloud every n-th.
+# Largest number of particles drawn; of a larger cloud every n-th is drawn.
 MOST = 200_000
-# Values beyond these shares of the particles do not widen the scale of colours [%].
+# Percentiles of the values at the ends of the colour scale [%].
 SHOWN = (0.5, 99.5)
-# Fits of the deformation about a particle, and what a neighbour may move otherwise than it says, over the spacing.
+# Reweighted fits of the deformation, and the deviation of a neighbour that halves its weight, over the spacing.
 FITS, TORN = 5, 0.1
-# Local damage from which a particle carries no stress any more [-].
+# Local damage from which a particle carries no stress [-].
 LOOSE = 0.999
-# How well the length of a bond is that between two particles [-]; to the image of one it is quite another.
+# Relative tolerance on the length of a bond between two particles; bonds to images have other lengths [-].
 OWN = 1e-6
 
 
@@ -62,8 +62,8 @@ class Scene:
     labels : Labels
         Labels of the run.
     limits : (float, float)
-        Ends of the scale of colours.
-    cuts : sequence of (str, float)
+        Ends of the colour scale.
+        cuts : sequence of (str, float)
         Planes beyond which a solid body is not drawn.
     """
 
@@ -90,7 +90,7 @@ def scene_of(
     folder: Path, name: str, component: str, scale: float, title: str, step: int | None = None,
     limits: tuple[float, float] | None = None, cuts: Sequence[Cut] = (),
 ) -> Scene:  # fmt: skip
-    """Return what a picture of a step shows, the last one by default (one rank only).
+    """Return the scene of a step, the last one by default (one rank only).
 
     Raises
     ------
@@ -212,7 +212,7 @@ def _body_of(
 
 
 def _cracks(summary: Mapping[str, Any]) -> list[Crack]:
-    """Return the cracks that a case has from the start; earlier versions recorded lines only."""
+    """Return the initial cracks of a case; earlier versions recorded lines only."""
     lines = [{"kind": "Polyline", "points": line} for line in summary.get("cracks") or [] if len(line) > 1]
     found = [crack_of(record) for record in summary.get("cuts") or lines]
     return [crack for crack in found if crack is not None]
@@ -221,7 +221,7 @@ def _cracks(summary: Mapping[str, Any]) -> list[Crack]:
 def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple[Cells, Float]:
     """Return the cells moved with their particles, and both faces of the cracks between them.
 
-    Cells come apart if their particles do not hold together, or if both particles are loose.
+    Cells separate if a crack or broken bond separates their particles, or if both particles are loose.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple
     held : Held
         Cracks and broken bonds.
     loose : (n,) bool
-        Particles that carry no stress any more.
+        Particles that carry no stress.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple
 def frame_of(
     folder: Path, name: str, component: str, scale: float, steps: Sequence[int], cuts: Sequence[Cut] = ()
 ) -> tuple[tuple[float, float], tuple[Float, Float]]:
-    """Return the ends of the scale of colours and the corners of all that steps show, one step after another.
+    """Return the ends of the colour scale and the corners common to several steps, reading one step at a time.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def _without_round_off(low: float, high: float, largest: float = 0.0) -> tuple[f
 
 
 def _load(folder: Path, step: int, t: float, labels: Labels) -> str:
-    """Return what the load is at a step: its share, and the first force of the history."""
+    """Return the load at a step in words: step time, and first force of the history."""
     said = f"load t = {t:.4g}"
     force = labels.first_of("force")
     if force is None:
@@ -328,7 +328,7 @@ def _load(folder: Path, step: int, t: float, labels: Labels) -> str:
 
 
 def component_of(values: Float, name: str) -> Float:
-    """Return a component of a field as files hold it; raises CaseError where there is none."""
+    """Return a component of a stored field; raises CaseError if it does not exist."""
     width = values.ndim - 1
     if len(name) != width or any(letter not in "xyz" for letter in name):
         raise CaseError(f"A component of this field is {('empty', 'x, y or z', 'xx, xy, ...')[width]}, not {name!r}.")
@@ -338,7 +338,7 @@ def component_of(values: Float, name: str) -> Float:
 
 
 def gradients(x: Float, u: Float, held: Held) -> Float:
-    """Return the deformation gradients (n, dim, dim) of a linear fit to the nearest particles that hold together.
+    """Return the deformation gradients (n, dim, dim) of a linear fit to the nearest particles not separated by cracks.
 
     Parameters
     ----------
@@ -355,20 +355,20 @@ def gradients(x: Float, u: Float, held: Held) -> Float:
     distance, near = scipy.spatial.cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
     together = held.together(np.arange(n), near)
-    # Particles of two bodies in touch may coincide.
+    # Particles of two bodies in contact may coincide.
     nearest = np.where(distance > 0.0, distance, np.inf).min(axis=1, keepdims=True)
     weight = np.where(together, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
     xi, eta = ((x[near] - x[:, None])[..., axes] / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None])
     slope = np.zeros((n, dim, len(axes)))
     for _ in range(FITS):
-        # A neighbour that moves otherwise than the others is beyond a crack that is not recorded.
+        # A neighbour that deviates from the fit is beyond a crack that is not recorded.
         apart = np.linalg.norm(eta - np.einsum("nij,nkj->nki", slope, xi), axis=2)
         seen = weight / (1.0 + (apart / TORN) ** 2)
         moments = np.einsum("nk,nki,nkj->nij", seen, xi, xi)
         good = np.linalg.cond(moments) < 1e4
         slope[good] = np.einsum("nk,nki,nkj->nij", seen, eta, xi)[good] @ np.linalg.inv(moments[good])
     F[:, :, axes] += slope
-    # A fit may make no sense where pieces fly apart; cells are then drawn as they were.
+    # The fit may fail if fragments fly apart; their cells are then drawn undeformed.
     F[(np.abs(F) > 5.0).any(axis=(1, 2))] = np.eye(dim)
     return F
 
@@ -376,13 +376,13 @@ def gradients(x: Float, u: Float, held: Held) -> Float:
 def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
     """Return the ids of the ends of the bonds that were broken at a step (n, 2), from ``broken_bonds.csv``.
 
-    Bonds to images of particles, beyond a mirror plane or a period, are left out: the table names the particle that an
-    image is of, whose own bond may be whole.
+    Bonds to images of particles, across a mirror plane or a period, are left out: the table names the original
+    particle, whose own bond may be intact.
 
     Parameters
     ----------
     x : (n, dim) float64
-        Places of all particles in creation order [length], which tell the one from the other.
+        Positions of all particles in creation order, to recognise bonds to images [length].
     """
     try:
         table = read_table(folder / "broken_bonds.csv")

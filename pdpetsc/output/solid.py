@@ -1,7 +1,7 @@
 """Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png ...``.
 
-Where there is no display, and no OpenGL without one, VTK may end the process that it is in. It is therefore not that of
-the run, and this file imports nothing of pdpetsc, so that it starts at once.
+Without a display or off-screen OpenGL, VTK may end its process. The process is therefore separate from the run, and
+this file imports nothing of pdpetsc, so that it starts quickly.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-# Edges of more faces than this are not drawn.
+# Largest number of faces for which edges are drawn.
 EDGES = 12_000
 
 
 def main(source: str, target: str) -> None:
-    """Draw the arrays of one file into another."""
+    """Draw the arrays of a file into a picture."""
     pyvista: Any = importlib.import_module("pyvista")
     scene = np.load(source)
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=[1300, 850])
@@ -43,7 +43,7 @@ def main(source: str, target: str) -> None:
     tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0
     bounds = (tick * np.array([np.floor(box[0] / tick + 1e-6), np.ceil(box[1] / tick - 1e-6)])).T.ravel().tolist()
     plotter.add_text(str(scene["title"]), position="upper_left", font_size=13, color="black")
-    # Last: whatever is added after them moves the axes.
+    # The axes come last, because anything added after them moves them.
     letters = {f"{letter}title": str(text) for letter, text in zip("xyz", scene["axes"], strict=True)}
     plotter.show_bounds(
         bounds=bounds, color="black", location="outer", ticks="outside", font_size=14, n_xlabels=4, n_ylabels=2,
@@ -53,7 +53,7 @@ def main(source: str, target: str) -> None:
     plotter.camera_position = [tuple(middle + reach * scene["viewed_from"]), tuple(middle), (0.0, 0.0, 1.0)]
     plotter.camera.parallel_projection = True
     plotter.reset_camera()
-    # The body left of the scale of colours.
+    # Move the body to the left of the colour scale.
     right = np.cross(plotter.camera.direction, (0.0, 0.0, 1.0))
     shift = 0.05 * reach * right / np.linalg.norm(right)
     plotter.camera.position = tuple(np.array(plotter.camera.position) + shift)

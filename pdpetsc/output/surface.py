@@ -20,12 +20,12 @@ from pdpetsc.output.folder import CELLS, FIELDS, SURFACE
 from pdpetsc.output.index import storable, topology
 from pdpetsc.post.point_location import Facets
 
-# Cells of larger bodies are not written: one rank makes them.
+# Largest number of particles whose cells are written, because one rank creates them.
 MOST_CELLS = 1_000_000
 
 
 def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> None:
-    """Write the surface of a body, if its particles know it and are not those of a lattice (collective).
+    """Write the surface of a body, if it is known and the particles do not fill equal boxes (collective).
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _write(path: Path, run: str, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_surface(folder: Path, run: str | None) -> Facets | None:
-    """Return the surface that a run wrote; None without any, raises CaseError if the file is damaged."""
+    """Return the stored surface of a run, None without one; raises CaseError if the file is damaged."""
     path = folder / FIELDS / SURFACE
     arrays = _read(path, run)
     if arrays is None:
@@ -99,7 +99,7 @@ def read_surface(folder: Path, run: str | None) -> Facets | None:
 
 
 def read_cells(folder: Path, run: str | None) -> Cells | None:
-    """Return the cells that a run wrote; None without any, raises CaseError if the file is damaged."""
+    """Return the stored cells of a run, None without any; raises CaseError if the file is damaged."""
     path = folder / FIELDS / CELLS
     arrays = _read(path, run)
     if arrays is None:
@@ -116,11 +116,11 @@ def read_cells(folder: Path, run: str | None) -> Cells | None:
 
 
 def _read(path: Path, run: str | None) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of a sealed file; None if there is none, or of another run."""
+    """Return the arrays of a sealed file; None if it is missing or of another run."""
     if not path.exists():
         return None
     try:
-        # HDF5 does not survive every damage. Files of earlier versions have no seal.
+        # HDF5 can crash on damaged files. Files of earlier versions have no checksum.
         with path.open("rb") as file:
             sealed = file.read(4) != b"\x89HDF"
         if sealed and not whole(path):
@@ -129,7 +129,7 @@ def _read(path: Path, run: str | None) -> dict[str, NDArray[Any]] | None:
             if run is not None and stored.attrs["run"] != run:
                 return None
             return {name: np.asarray(array) for name, array in stored.items()}
-    except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
+    except Exception as error:  # any error of HDF5, h5py and numpy on a damaged file
         raise _damaged(path, " ".join(str(error).split()).rstrip(".") or type(error).__name__) from None
 
 

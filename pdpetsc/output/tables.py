@@ -8,14 +8,14 @@ from typing import Any
 
 
 def text_of(value: Any, digits: int = 6) -> str:
-    """Return a value as a cell has it: floating-point numbers with so many digits, nothing for None."""
+    """Return the text of a table cell: floating-point numbers with ``digits`` digits, empty for None."""
     if value is None:
         return ""
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> list[str]:
-    """Return a line of text for each row, with columns of one width; numbers of columns in ``left`` begin there."""
+    """Return a line of text for each row, with columns of constant width, left-aligned for those in ``left``."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for row in rows:
@@ -25,7 +25,7 @@ def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> list[str
 
 
 def cell(value: Any, digits: int = 6) -> str:
-    """Return a value as a cell of an HTML table."""
+    """Return the HTML table cell of a value."""
     return f"<td>{html.escape(text_of(value, digits))}</td>"
 
 

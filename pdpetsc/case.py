@@ -1,4 +1,4 @@
-"""What a case declares."""
+"""The declaration of a case."""
 
 from __future__ import annotations
 
@@ -39,28 +39,28 @@ from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
 
 AnyMaterial: TypeAlias = Material | BondMaterial | Graded | Thermal
-# What stands between the columns of the history, and in quotes.
+# Characters that names of the history must not have: separators of columns, and quotes.
 _NOT_IN_NAMES = set(",;\"'")
-# What a table or file of a run has anyway.
-# Default horizons over the spacing: of bodies that crack and of bonds, and with weights that conform to the surface.
+# Default horizons over the spacing: with damage or bond-based materials, and with conforming weights.
 OF_CRACKS, OF_CONFORMING = 3.015, 2.015
+# Columns and fields that every run has.
 _COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
 
 def isothermal(material: AnyMaterial) -> Material | BondMaterial | Graded:
-    """Return the material without what it does with temperature."""
+    """Return the material without its thermal properties."""
     return material.material if isinstance(material, Thermal) else material
 
 
 def ungraded(material: AnyMaterial) -> Material | BondMaterial:
-    """Return the material without its grading and what it does with temperature."""
+    """Return the material without its grading and thermal properties."""
     found = isothermal(material)
     return found.material if isinstance(found, Graded) else found
 
 
 def _named(name: str, function: Field) -> Field:
-    """Return a field under a name of the case's choice; itself where that is its own."""
+    """Return a field with a given name; the field itself if it has this name."""
     if name_of(function) == name:
         return function
 
@@ -74,76 +74,77 @@ def _named(name: str, function: Field) -> Field:
 
 @dataclass(frozen=True)
 class Case(Declared):
-    """A case: a body, what is done to it and what is asked.
+    """A case: a body, its conditions, the solution and the output.
 
     Parameters
     ----------
     particles : Particles
-        Where the particles are.
+        Source of the particles.
     horizon : float, Horizon, callable or (n,) array, optional
         Radius of the families [length]: one for all, ``Horizon(ratio)`` local spacings, a function of positions
         (n, dim) that returns lengths (n,), or one length per particle in the order of creation. By default 3.015
-        spacings for materials of bonds and with damage, otherwise 2.015 with conforming weights and 1.5 with standard
+        spacings for bond-based materials and with damage, otherwise 2.015 with conforming weights and 1.5 with standard
         ones; at least 2.015 with ``BondAssociated`` and 3.015 with ``HigherOrder``.
     material : Material, BondMaterial, Graded, Thermal, or sequence of (Region, one of these)
-        One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
+        One material, or one per region; every particle needs exactly one. Bond-based materials do not mix with others.
     conditions : sequence of Condition
-        Displacements and loads, temperatures and strains without stress.
+        Displacements, loads, temperatures and eigenstrains.
     scheme : Scheme, optional
-        Where deformation gradients are evaluated. By default sub-horizons, which need no control and no coefficient.
+        Points at which deformation gradients are evaluated. By default sub-horizons, which need no control.
         Without a declared control it is ``Correspondence`` with ``PointDamage``, and ``MeanDilatation`` for nearly
-        incompressible bodies (nu > 0.45). Materials of bonds have none.
+        incompressible bodies (nu > 0.45). Bond-based materials have no scheme.
     influence : Influence
-        How much a bond counts.
+        Influence function, which weights the bonds of a family.
     weights : Weights, optional
         ``Conforming()`` lets the gradients satisfy the divergence theorem up to the surface; ``Standard()`` leaves them
-        as the scheme has them. By default they conform where particles that know their surface are no lattice of
-        cells, as those of a mesh: standard weights do not converge there; and on ``LatticeNodes``, whose supports hold
-        the surface itself.
+        as the scheme has them. By default weights conform for irregular particles with a known surface, such as those
+        of a mesh, because standard weights do not converge there. They also conform on ``LatticeNodes``, because
+        supports act on the surface itself.
     control : ZeroEnergyControl, optional
         Zero-energy control. By default none. Without a declared scheme it is ``Silling(2.0)`` with ``PointDamage``, and
         ``ByShear(Silling(0.5))`` for nearly incompressible bodies (nu > 0.45).
     cracks : sequence of Crack
-        What cuts bonds from the start; let it run between particles.
+        Initial cracks, which cut bonds; place them between particles.
     damage : BondDamage, DamageOf or PointDamage, optional
-        How bonds fail, of materials of bonds or of deformation gradients, and by region and pair of regions where they
-        fail differently; they do not where absent.
+        Failure of bonds, for bond-based materials or materials of deformation gradients, also by region and pair of
+        regions. By default bonds do not fail.
     cell : Cell, optional
         Periodic cell that the particles fill; hold one particle against translation.
     symmetry : sequence of Symmetry
         Mirror planes, at most one across each axis: the particles are a half, a quarter or an eighth of the body.
     steps : Steps or AdaptiveSteps
-        How the load is applied.
+        Load steps.
     solver : Newton, DynamicRelaxation, EventDriven or PathFollowing
-        How equilibrium is found.
+        Solver of the equilibrium.
     history : mapping of str to Quantity
         Numbers written per step; names have no comma, semicolon or quote. A path by ``Opening`` adds ``opening``.
     results : callable, optional
-        Gets the history as lists per name and returns the named scalar results of the run.
+        Receives the history as lists by name, and returns the named scalar results of the run.
     fields : sequence of Field, or mapping of str to Field
-        What is written per step; displacement, stress and von Mises stress by default, empty for no file of fields. The
-        names are those of the functions, or the mapping's: different words of letters, digits and underscores.
+        Fields written per step; by default displacement, stress and von Mises stress, empty for no file of fields.
+        Names are those of the functions or of the mapping: different words of letters, digits and underscores.
     checkpoints : int
-        A checkpoint every so many steps, and where the run ends, also by a signal or a failure; 0 for none.
+        Steps between checkpoints; another one is written at the end of the run, also after a signal or a failure. 0 for
+        none.
     picture : Picture, optional
-        What is drawn at the end.
+        Picture that is drawn at the end.
     options : mapping of str to value
-        PETSc options without dash, which the command line overrides.
+        PETSc options without dash; the command line overrides them.
     terms : sequence of ExtraTerm
-        What adds forces besides material, control and conditions.
+        Forces in addition to material, control and conditions.
     heat : HeatConduction, optional
-        Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
+        Temperature from heat conduction; by default ``Temperature`` conditions prescribe it.
     expect : mapping of str to Expected
-        What the named results should be, with these parameters; compared where the run is asked to (``--check``).
+        Expected results for these parameters; ``--check`` compares them with the named results.
     units : Units, optional
-        What the units of length and force are called in pictures, tables and the report; nothing is converted.
+        Names of the units of length and force in pictures, tables and the report; nothing is converted.
     modes : Modes, optional
         Natural frequencies or buckling factors of the last equilibrium.
     """
 
     particles: Particles
     horizon: AnyHorizon | None = None
-    # Required, after a field that is not: None fits no annotation and is refused.
+    # Required, but after an optional field: the default None fits no annotation and is refused.
     material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]] = None  # type: ignore[assignment]
     conditions: Sequence[Condition] = ()
     scheme: Scheme | None = None
@@ -177,12 +178,12 @@ class Case(Declared):
 
     @property
     def of_bonds(self) -> bool:
-        """Return whether the forces act along bonds."""
+        """Return True if the material is bond-based."""
         return any(isinstance(ungraded(material), BondMaterial) for _, material in self.materials)
 
     @property
     def thermals(self) -> list[Thermal | None]:
-        """Return what each material does with temperature, None for nothing."""
+        """Return the thermal properties of each material, None if it has none."""
         return [material if isinstance(material, Thermal) else None for _, material in self.materials]
 
     @property
@@ -192,7 +193,7 @@ class Case(Declared):
 
     @property
     def expands(self) -> bool:
-        """Return whether a body may deform without stress."""
+        """Return True if the body may have thermal strain or eigenstrain."""
         of_conditions = any(isinstance(condition, ThermalCondition) for condition in self.conditions)
         return self.heat is not None or of_conditions or any(thermal is not None for thermal in self.thermals)
 
@@ -210,7 +211,7 @@ class Case(Declared):
 
     @property
     def chosen_horizon(self) -> AnyHorizon:
-        """Return the horizon that was given, or the one that suits the particles and what they do.
+        """Return the declared horizon, or the default for the particles, scheme, weights and damage.
 
         Raises
         ------
@@ -224,13 +225,13 @@ class Case(Declared):
         else:
             conform = isinstance(self.chosen_weights, Conforming)
             ratio = max(self.gradients.horizon_ratio, OF_CONFORMING if conform else 0.0)
-        # One spacing for all makes one horizon for all.
+        # A uniform spacing gives a uniform horizon.
         spacing = getattr(self.particles, "spacing", None)
         return Horizon(ratio) if spacing is None else ratio * spacing
 
     @property
     def chosen_weights(self) -> Weights:
-        """Return the weights that were given, or those that suit the particles.
+        """Return the declared weights, or the default for the particles.
 
         Raises
         ------
@@ -241,12 +242,12 @@ class Case(Declared):
             return self.weights
         if self.of_bonds:
             return Standard()
-        # Nodes on a surface that weights do not conform to are pushed away from the supports that hold it.
+        # Without conforming weights, nodes on the surface are pushed away from their supports.
         return Suited() if self.particles.irregular or self.particles.on_surface else Standard()
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """Return the quantities of the history: the opening that a path follows, and those of the case."""
+        """Return the quantities of the history: the opening of path following, and those of the case."""
         measure = getattr(self.solver, "measure", None)
         of_path = {"opening": PathOpening(measure)} if isinstance(measure, Opening) else {}
         return {**of_path, **self.history}
@@ -260,7 +261,7 @@ class Case(Declared):
 
     @property
     def recorded(self) -> list[Field]:
-        """Return the fields that a run writes: the declared ones, and what the picture shows."""
+        """Return the fields that a run writes: the declared fields, and those of the picture."""
         fields = self.written
         for shown_too in [] if self.picture is None else [displacement, self.picture.field]:
             if shown_too not in fields:
@@ -298,7 +299,7 @@ class Case(Declared):
 
     @property
     def damage_laws(self) -> list[BondDamage]:
-        """Return the laws by which bonds fail, none without damage."""
+        """Return the damage laws of bonds; empty without damage."""
         return [] if self.damage is None else self.damage.all_laws
 
     @property
@@ -312,7 +313,7 @@ class Case(Declared):
         return [(name, duration) for name, duration in named if duration is not None]
 
     def _check_durations(self) -> None:
-        """Raise CaseError where the load takes another time for one part of the case than for another."""
+        """Raise CaseError if parts of the case declare different durations."""
         given = self._durations
         for name, duration in given[1:]:
             if duration != given[0][1]:
@@ -322,7 +323,7 @@ class Case(Declared):
                 )
 
     def _check_temperatures(self) -> None:
-        """Raise CaseError where damage reads a temperature that not all of the body has."""
+        """Raise CaseError if damage requires a temperature that a material does not have."""
         if any(law.criterion.reads_temperature for law in self.damage_laws):
             lacking = [number for number, one in enumerate(self.thermals, 1) if one is None]
             if lacking:
@@ -332,7 +333,7 @@ class Case(Declared):
                 )
 
     def _check_signatures(self) -> None:
-        """Raise CaseError where a function that is called after the first solve takes other arguments."""
+        """Raise CaseError if a function that is called after the first solve requires other arguments."""
         if self.results is not None:
             refuse_signature("function of results", self.results, "history")
         drawn = [] if self.picture is None else [self.picture.field]
@@ -401,12 +402,12 @@ class Case(Declared):
 
 
 def check_declared(case: Case, dim: int) -> None:
-    """Raise CaseError where a body of ``dim`` dimensions lacks what the case asks to see.
+    """Raise CaseError if a declaration does not fit a body of ``dim`` dimensions.
 
     Parameters
     ----------
     case : Case
-        What is declared: components of picture and history, regions of everything.
+        The case; components of picture and history, regions, solver and cell are checked.
     dim : int
         Number of coordinates of the particles.
 
@@ -432,7 +433,7 @@ def check_declared(case: Case, dim: int) -> None:
 
 
 def _in(what: str, check: Callable[[int], None], dim: int) -> None:
-    """Say what a sentence about a part of the case is about."""
+    """Run a check, and name the part of the case in its error."""
     try:
         check(dim)
     except CaseError as error:

@@ -1,4 +1,4 @@
-"""What a case declares is checked in one place, against the types that its fields are annotated with."""
+"""Checks of declared values against the annotated types of their fields."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError, PdpetscError
 
-# Characters of a wrong value that a message shows.
+# Largest number of characters of a value in a message.
 SHOWN = 60
 
 T = TypeVar("T")
@@ -27,13 +27,13 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """What a number must be beside its type: in words, of one and of several, and as a test."""
+    """A condition on a number besides its type: words for one and for several numbers, and a test."""
 
     words: tuple[str, str]
     holds: Callable[[float], bool]
 
 
-# Numbers that a field may be annotated with.
+# Annotations for fields with numbers.
 Finite: TypeAlias = Annotated[float, Bound(("a finite number", "finite numbers"), math.isfinite)]
 Positive: TypeAlias = Annotated[
     float, Bound(("a positive number", "positive numbers"), lambda x: math.isfinite(x) and x > 0.0)
@@ -50,14 +50,15 @@ Natural: TypeAlias = Annotated[int, Bound(("a whole number >= 0", "whole numbers
 
 
 class Declared:
-    """Base of what a case declares: a dataclass whose fields hold what their annotations say.
+    """Base class of declarations: a dataclass that checks its fields against their annotations.
 
-    A class with a ``__post_init__`` of its own calls this one first and may then compare numbers with numbers.
+    A subclass with its own ``__post_init__`` calls this one first and may then rely on the types.
 
     Raises
     ------
     CaseError
-        A field holds something else: a string for a number, a class for an object, one item for a sequence, a NaN.
+        A field has another type, such as a string for a number, a class for an object or one item for a sequence, or
+        is NaN.
     """
 
     def __post_init__(self) -> None:
@@ -72,9 +73,9 @@ class Declared:
 
 
 def input_files(value: Any) -> list[Path]:
-    """List the files that a declared object is read from, with those of the objects that it holds.
+    """Return the input files of a declared object and of the objects inside it.
 
-    A class that reads files has a method ``input_files`` of its own.
+    A class that reads files has its own method ``input_files``.
     """
     own = getattr(value, "input_files", None)
     if own is not None:
@@ -88,7 +89,7 @@ def input_files(value: Any) -> list[Path]:
 
 
 def shown(value: object) -> str:
-    """Return what a message shows of a value."""
+    """Return the text of a value for messages."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     try:
@@ -99,13 +100,13 @@ def shown(value: object) -> str:
 
 
 def meant(word: str, known: Iterable[str], sentence: str) -> str:
-    """Return a sentence with the known word that is nearest to another one; empty where none is near."""
+    """Return a sentence with the known word that is most similar to a given one; empty if none is similar."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return sentence.format(near[0]) if near else ""
 
 
 def refuse_unknown(words: Iterable[str], known: Collection[str], begin: str) -> None:
-    """Raise CaseError for a word that is not known, with a sentence that begins so."""
+    """Raise CaseError for an unknown word, with a message that starts with ``begin``."""
     for word in words:
         if word not in known:
             there = f"it has {', '.join(known) or 'none'}"
@@ -113,19 +114,19 @@ def refuse_unknown(words: Iterable[str], known: Collection[str], begin: str) -> 
 
 
 def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
-    """Return what a function of the user returns; what it raises becomes one sentence with its place.
+    """Call a function of the user and return its result; convert its exceptions to one message with their place.
 
     Parameters
     ----------
     what : str
-        What the function is for, for the message.
+        Purpose of the function, for the message.
     function : callable
         Called with ``arguments``.
 
     Raises
     ------
     CaseError
-        The function raised something.
+        The function raised an exception.
     """
     try:
         return function(*arguments)
@@ -142,9 +143,9 @@ def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
 
 
 def refuse_signature(what: str, function: Callable[..., Any], *arguments: str) -> None:
-    """Raise CaseError where a function of the user cannot be called with these arguments.
+    """Raise CaseError if a function of the user cannot be called with these arguments.
 
-    What has no signature, as some functions in C, is called as it is.
+    Functions without a signature, such as some in C, are not checked.
     """
     try:
         signature = inspect.signature(function)
@@ -159,12 +160,12 @@ def refuse_signature(what: str, function: Callable[..., Any], *arguments: str) -
 
 
 def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Float:
-    """Return what a function of the user returns as an array of numbers, as ``called``.
+    """Call a function of the user as in ``called``, and return its result as an array of numbers.
 
     Raises
     ------
     CaseError
-        The function raised something, or returned something else.
+        The function raised an exception, or did not return real numbers.
     """
     values = called(what, function, *arguments)
     found = real_numbers(values)
@@ -174,7 +175,7 @@ def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Fl
 
 
 def real_numbers(values: Any) -> Float | None:
-    """Return values as an array of numbers, None where they are not real numbers."""
+    """Return values as an array of numbers; None if they are not real numbers."""
     try:
         return None if np.iscomplexobj(values) else np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -182,13 +183,13 @@ def real_numbers(values: Any) -> Float | None:
 
 
 def name_of(function: object) -> str:
-    """Return what a function is called."""
+    """Return the name of a function."""
     return str(getattr(function, "__name__", type(function).__name__))
 
 
 @cache
 def _hints(kind: Any) -> dict[str, Any]:
-    """Return the type of each field; none where their module does not know one."""
+    """Return the annotated type of each field; empty if an annotation cannot be resolved."""
     try:
         hints = get_type_hints(kind, include_extras=True)
     except (NameError, AttributeError, TypeError, SyntaxError):
@@ -197,7 +198,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 def fits(value: object, hint: Any) -> bool:
-    """Return whether a value is of an annotated type; what this does not know fits."""
+    """Return True if a value is of an annotated type; any value fits an annotation that is not supported."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return True
@@ -230,7 +231,7 @@ def fits(value: object, hint: Any) -> bool:
     if origin is np.ndarray:
         return isinstance(value, np.ndarray)
     if origin is Callable:
-        # A class in place of a function is an object that somebody forgot to make.
+        # A class in place of a function is most likely an object without its parentheses.
         return callable(value) and not isinstance(value, type)
     return not isinstance(hint, type) or isinstance(value, hint)
 
@@ -266,7 +267,7 @@ _WORDS: dict[Any, tuple[str, str]] = {
 
 
 def words_of(hint: Any, several: bool = False) -> str:
-    """Return what an annotated type is in words, of one or of several."""
+    """Return an annotated type in words, for one value or for several."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _WORDS:
         return _WORDS[hint][several]
@@ -294,7 +295,7 @@ def words_of(hint: Any, several: bool = False) -> str:
 
 
 def _advice(value: object, hint: Any) -> str:
-    """Return what to do about a wrong value, where that is clear."""
+    """Return advice on a wrong value; empty if there is none."""
     if isinstance(value, type):
         return f"; write {value.__name__}(...) for an object of it"
     for choice in get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,):

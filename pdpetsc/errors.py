@@ -1,4 +1,4 @@
-"""Errors a user can meet, the exit status each ends a run with, and the sentence for every other exception."""
+"""Errors for users with their exit statuses, and conversion of other exceptions to them."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).parent
-# PETSc's error codes of an option or a value that it does not take: support, order, sizes, arguments, types, packages.
+# PETSc's error codes for a rejected option or value: support, order, sizes, arguments, types, packages.
 WRONG_OPTION = (55, 56, 58, 60, 61, 62, 63, 64, 71, 73, 74, 75, 77, 80, 83, 86, 92, 94, 99)
-# What PETSc says by its number alone, before its handler of errors is there.
+# Meaning of errors of PETSc that have a number only, before its error handler is set.
 CODES = {
     55: "out of memory", 56: "not supported", 60: "a wrong size", 62: "a wrong argument", 63: "out of range",
     65: "a file cannot be opened", 66: "a file cannot be read", 67: "a file cannot be written",
     83: "an option or a file it names is wrong", 86: "unknown type", 92: "a package is missing",
 }  # fmt: skip
-# Characters of a sentence that travel to other ranks.
+# Largest number of characters of a message that is sent to other ranks.
 LONGEST = 2000
 
 
 class PdpetscError(Exception):
-    """Base of the errors that end a run with one sentence instead of a traceback.
+    """Base class of the errors that end a run with one message instead of a traceback.
 
     Attributes
     ----------
     exit_status : int
-        What the command line ends with.
+        Exit status of the command line.
     agreed : int
-        How many ranks are known to have raised it at the same place: those of a communicator with so many may go on to
-        communicate.
+        Number of ranks that are known to have raised it at the same place. The ranks of a communicator of this size may
+        still communicate.
     petsc : bool
-        Whether it came from an error of PETSc on another rank.
+        True if it came from an error of PETSc on another rank.
     phase : str
-        What the run was at, if known.
+        Phase of the run, if known.
     rank : int, optional
-        Where it was raised, if not everywhere.
+        Rank that raised it, if not all did.
     what : str
-        What was raised.
+        Text of the original error.
     of_user, of_option, bug : bool
         As for ``RunError``, which sets them.
     """
@@ -53,7 +53,7 @@ class PdpetscError(Exception):
     bug = False
 
     def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
-        """Return the error as one of a single rank, which it names."""
+        """Return the error of a single rank, with its number."""
         return RunError(str(self), users_line(self), phase, rank)
 
 
@@ -64,7 +64,7 @@ class CaseError(PdpetscError, ValueError):
 
 
 class FlatFamilies(CaseError):
-    """Families are too small or too flat for a gradient; ``gid`` names this rank's."""
+    """Families are too small or too flat for a gradient; ``gid`` identifies those of this rank."""
 
     def __init__(self, message: str, gid: Any = None) -> None:
         super().__init__(message)
@@ -72,7 +72,7 @@ class FlatFamilies(CaseError):
 
 
 class NoConformingWeights(CaseError):
-    """Families are too small to be changed so that they satisfy the divergence theorem."""
+    """Families are too small for weights that satisfy the divergence theorem."""
 
 
 class SolveError(PdpetscError, RuntimeError):
@@ -80,40 +80,40 @@ class SolveError(PdpetscError, RuntimeError):
 
 
 class CheckError(PdpetscError, AssertionError):
-    """A run has ended and its results are on disk, but they are not what its case expects."""
+    """The results of a finished run differ from those that its case expects; they are on disk."""
 
 
 class OutputError(PdpetscError, OSError):
-    """A result could not be written; the files hold the last step that could."""
+    """A result could not be written; the files hold the last step that was written."""
 
 
 class Interrupted(PdpetscError):
     """The run was asked to stop by a signal; the last converged step is on disk."""
 
     def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
-        """Return the error itself: a signal is of no rank."""
+        """Return the error itself, because a signal belongs to no rank."""
         return self
 
 
 class RunError(PdpetscError, RuntimeError):
-    """A function of the case, PETSc, the memory or pdpetsc itself failed in the course of a run.
+    """A function of the case, PETSc, the memory or pdpetsc itself failed during a run.
 
     Attributes
     ----------
     what : str
-        What was raised, or PETSc's reason.
+        Type and message of the exception, or PETSc's reason.
     place : str
         File and line.
     phase : str
-        What the run was at.
+        Phase of the run.
     rank : int, optional
-        Where it was raised, if not everywhere.
+        Rank that raised it, if not all did.
     of_user : bool
-        Whether code outside pdpetsc raised it.
+        True if code outside pdpetsc raised it.
     of_option : bool
-        Whether PETSc found an option or its value wrong.
+        True if PETSc rejected an option or its value.
     bug : bool
-        Whether it is a defect of pdpetsc.
+        True if it is a defect of pdpetsc.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class RunError(PdpetscError, RuntimeError):
         self.bug = bug
 
     def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
-        """Return the error itself, which knows its rank."""
+        """Return the error itself."""
         return self
 
     def __str__(self) -> str:
@@ -141,7 +141,7 @@ class RunError(PdpetscError, RuntimeError):
         return f"{' '.join(words)}: {self.what.rstrip('.')}{note}."
 
 
-# What every rank can make anew from a few words; an error class of a case file is not known on other ranks.
+# Error classes that every rank can rebuild; classes defined in a case file are unknown on other ranks.
 KINDS: dict[str, type[PdpetscError]] = {
     kind.__name__: kind
     for kind in (PdpetscError, CaseError, FlatFamilies, SolveError, CheckError, OutputError, Interrupted, RunError)
@@ -149,7 +149,7 @@ KINDS: dict[str, type[PdpetscError]] = {
 
 
 def notice(error: PdpetscError) -> dict[str, Any]:
-    """Return what other ranks need to raise an error: its kind, exit status and text, all of plain types."""
+    """Return the data from which other ranks rebuild an error, in plain types: kind, exit status and text."""
     kind = next(kind.__name__ for kind in type(error).__mro__ if kind.__name__ in KINDS)
     told: dict[str, Any] = {"kind": kind, "status": int(error.exit_status), "text": str(error)[:LONGEST]}
     told["petsc"] = of_petsc(error)
@@ -163,17 +163,18 @@ def notice(error: PdpetscError) -> dict[str, Any]:
 
 
 def rebuilt(told: dict[str, Any]) -> PdpetscError:
-    """Return the error that a ``notice`` tells of."""
+    """Return the error that a ``notice`` describes."""
     error = KINDS[told["kind"]](told["text"], **told.get("more", {}))
     error.exit_status, error.petsc = told["status"], told["petsc"]
     return error
 
 
 def described(error: BaseException) -> PdpetscError:
-    """Return an exception as an error of one sentence: itself where it is one.
+    """Return an exception as an error with one message; return it unchanged if it is one already.
 
-    What passes through code outside pdpetsc and its libraries is that code's, with its line; PETSc's errors have
-    PETSc's own reason; what is left is a defect of pdpetsc.
+    An exception that passed through code outside pdpetsc and its libraries is attributed to that code, with the line.
+    Errors of PETSc have the reason that PETSc reports. Errors of memory, imports and files keep their message. All
+    others are defects of pdpetsc.
     """
     if isinstance(error, PdpetscError):
         return error
@@ -182,7 +183,7 @@ def described(error: BaseException) -> PdpetscError:
     place = users_line(error)
     code = getattr(error, "ierr", None)
     if code is not None and type(error).__module__.startswith("petsc4py"):
-        # What a user's function raises below PETSc comes back as what it was.
+        # An exception of a user's function that PETSc called comes back with its own type, not here.
         return RunError(petsc_reason(error), place, of_user=bool(place), of_option=code in WRONG_OPTION and not place)
     what = f"{type(error).__name__}: {' '.join(str(error).split())}" if str(error) else type(error).__name__
     if isinstance(error, SystemExit):
@@ -195,7 +196,7 @@ def described(error: BaseException) -> PdpetscError:
         return RunError(what)
     own = _own_line(error)
     if own.startswith("pdpetsc/declare/") and isinstance(error, TypeError | ValueError | ArithmeticError):
-        # What a case declares is looked at there, also what its functions return.
+        # Declared values, and values that functions of the case return, are checked there.
         return RunError(f"{what}; a number or an array that the case gives is none, or too large", own, of_user=True)
     if isinstance(error, OSError):
         return RunError(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
@@ -203,7 +204,7 @@ def described(error: BaseException) -> PdpetscError:
 
 
 def petsc_reason(error: BaseException) -> str:
-    """Return what PETSc says is wrong, without its traceback and hints."""
+    """Return the reason that PETSc reports, without its traceback and hints."""
     lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines() if line.strip()]
     # A frame is "SNESSolve() at /path/snes.c:4692"; the words after the last one are the reason.
     kept = [line for line in lines if not line.startswith("error code") and "() at " not in line]
@@ -215,11 +216,11 @@ def petsc_reason(error: BaseException) -> str:
 
 
 def of_petsc(error: BaseException | None) -> bool:
-    """Return whether PETSc raised an error, or what it came from; PETSc's objects are then in no order."""
-    # An error that is raised anew while another one of its causes is handled closes a ring.
+    """Return True if PETSc raised an error or one of its causes; objects of PETSc may then be inconsistent."""
+    # The chain of causes is a ring if an error is raised again while one of its causes is handled.
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
-        # Of an error that another rank has told of only this is known.
+        # Only this attribute is known of an error of another rank.
         if getattr(error, "petsc", False) or (hasattr(error, "ierr") and type(error).__module__.startswith("petsc4py")):
             return True
         seen.add(id(error))
@@ -228,7 +229,7 @@ def of_petsc(error: BaseException | None) -> bool:
 
 
 def users_line(error: BaseException) -> str:
-    """Return file and line of the innermost frame outside pdpetsc and what is installed, empty where there is none."""
+    """Return file and line of the innermost frame outside pdpetsc and installed packages; empty if there is none."""
     paths = sysconfig.get_paths()
     installed = [str(Path(paths[name]).resolve()) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
@@ -246,6 +247,6 @@ def _own_line(error: BaseException) -> str:
 
 
 def places(error: BaseException) -> tuple[str, ...]:
-    """Return the lines of pdpetsc that an exception passed through: the same on ranks that failed together."""
+    """Return the lines of pdpetsc that an exception passed through, equal on ranks that failed together."""
     frames = traceback.extract_tb(error.__traceback__)
     return tuple(f"{Path(f.filename).name}:{f.lineno}" for f in frames if PACKAGE in Path(f.filename).resolve().parents)

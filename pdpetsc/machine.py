@@ -1,4 +1,4 @@
-"""What is on this machine: versions of packages, and what tells a file from one that was there before."""
+"""Versions of packages, cores and threads of this machine, and stamps and digests of files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pdpetsc.bounds import whole_number
 
-# What the numbers of a run may depend on, besides pdpetsc and PETSc.
+# Packages that may affect results, besides pdpetsc and PETSc.
 OF_NUMBERS = ("numpy", "scipy", "numba")
 
 
@@ -28,20 +28,20 @@ def versions(packages: Sequence[str] = OF_NUMBERS) -> dict[str, str]:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def threads() -> int:
-    """Return how many threads a rank has."""
+    """Return the number of threads per rank."""
     return whole_number(os.environ.get("OMP_NUM_THREADS", "1")) or 1
 
 
 def stamp_of(path: str | Path) -> tuple[int, ...] | None:
-    """Return what tells a file from one that was there before: when it changed, its size and its number on the disk.
+    """Return modification time, size and inode of a file, to detect that it was changed or replaced.
 
-    Nothing in it where no file is there or it cannot be looked at, None for what is no file, as a pipe or a folder. A
-    file that is written aside and renamed has a new number, also where its time and size are those of before.
+    The result is empty if the file is missing or cannot be accessed, and None for a pipe, a folder or a device. A file
+    that replaced another one by renaming has a new inode, even if its time and size are equal.
     """
     try:
         found = os.stat(path)

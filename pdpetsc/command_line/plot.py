@@ -68,7 +68,7 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool, cut: str | Non
     if kind not in ("gif", "mp4"):
         raise CaseError(f"format takes gif or mp4, not {kind!r}.")
     if (folder / "fields.h5").exists():
-        # Of the picture of the case, unless another field is given.
+        # Settings of the picture of the case, unless another field is given.
         stored, shown = StoredFields(folder).names(), summary.get("picture") or {}
         default = "stress" if "stress" in stored else "displacement"
         field = given.get("field") or (shown["field"] if shown.get("field") in stored else default)
@@ -113,7 +113,7 @@ def _number(given: Mapping[str, str], name: str, default: float) -> float:
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write a figure as a PNG that only a loss of power can leave half written; raises OutputError."""
+    """Write a figure as a PNG; only a loss of power can damage the file. Raises OutputError."""
     with replacing(path, wait=False) as aside:
         figure.savefig(aside, dpi=130, format="png", metadata=MARK)
     return path
@@ -129,7 +129,7 @@ def _history(folder: Path, summary: Mapping[str, Any], x: str, y: str | None) ->
 
 
 def run(path: Path, arguments: Arguments) -> int:
-    """Carry out the command."""
+    """Execute the command."""
     for picture in plot(path, arguments.parameters, "--animate" in arguments.flags, arguments.value("--cut")):
         print(picture)
     return 0

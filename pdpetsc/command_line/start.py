@@ -56,7 +56,7 @@ def start_petsc(words: Sequence[str] = ()) -> None:
 
 def take_signals(handler: Any = None) -> None:
     """Set the handler of signals, by default KeyboardInterrupt, except for ignored ones, as under nohup."""
-    with contextlib.suppress(ValueError):  # they are the main thread's
+    with contextlib.suppress(ValueError):  # only the main thread may set handlers
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, handler or _interrupt)

@@ -18,7 +18,7 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Bodies(Particles):
-    """Several bodies; particles of different bodies have no bond, however near they are.
+    """Several bodies; particles of different bodies have no bonds at any distance.
 
     The name of a body is a set of its particles, ``"lower"``, and ``"lower +y"`` is its upper side. Sets and named
     facets of the parts keep their names. Bodies pass through each other unless ``BodyContact`` acts between them.
@@ -67,7 +67,7 @@ class Bodies(Particles):
         return all(one.on_surface for one in self.parts.values())
 
     def estimate(self) -> int:
-        """Return how many particles are made at most."""
+        """Return an upper bound of the number of particles."""
         return sum(one.estimate() for one in self.parts.values())
 
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -115,7 +115,7 @@ class Bodies(Particles):
         return whole.of_particles(part * first[-1] // parts, (part + 1) * first[-1] // parts)
 
     def stairs(self, part: int, parts: int) -> int:
-        """Return how many facets are steps of a staircase."""
+        """Return the number of facets that are steps of a staircase."""
         return sum(one.stairs(part, parts) for one in self.parts.values())
 
     def triangles(self, part: int, parts: int) -> Float | None:
@@ -143,5 +143,5 @@ class Bodies(Particles):
         )
 
     def _firsts(self) -> list[int]:
-        """Return the number of the first particle of each body, followed by the number of all."""
+        """Return the index of the first particle of each body, followed by the total number of particles."""
         return [0, *np.cumsum([len(one.chunk(0, 1).x) for one in self.parts.values()]).tolist()]

@@ -12,7 +12,7 @@ from pdpetsc.declared import Fraction, NonNegative, Positive
 
 # Reach of a contact by default, in horizons.
 REACH = 4.0
-# Horizons from a facet to the particles that its displacement is interpolated from, at both ends, and to its owner.
+# Distance from a facet to the particles that interpolate its displacement, at both ends, and to its owner [horizons].
 AROUND = 3.0
 
 
@@ -38,14 +38,14 @@ class TwoParts(Condition, ABC):
 
     @abstractmethod
     def beyond(self, horizon: float) -> float:
-        """Return how much further than a horizon ranks exchange the particles at the surface [length]."""
+        """Return the distance beyond a horizon at which ranks exchange particles at the surface [length]."""
 
 
 @dataclass(frozen=True)
 class BodyContact(TwoParts):
     """Contact of two parts of the surface, with Coulomb friction: of two bodies, or of a body with itself.
 
-    Facets of both parts that look at each other and overlap, seen along the mean of their normals, form pairs. Both
+    Facets of both parts that face each other and overlap, seen along the mean of their normals, form pairs. Both
     facets of a pair feel opposite forces at the middle of the overlap: the pressure ``p = <p0 - stiffness g>``, and
     friction as for ``Contact``, times the area of the overlap. ``g`` is the mean gap over the overlaps of the facets of
     one particle. A uniform pressure is transferred exactly, whatever the spacings of both sides, and forces and moments
@@ -94,7 +94,7 @@ class BodyContact(TwoParts):
         onto.body_contact(self, name)
 
     def beyond(self, horizon: float) -> float:
-        """Return how much further than a horizon particles are exchanged [length]."""
+        """Return the distance beyond a horizon at which particles are exchanged [length]."""
         return self.reach_at(horizon) + AROUND * horizon
 
     def reach_at(self, horizon: float) -> float:
@@ -141,7 +141,7 @@ class Tied(TwoParts):
         onto.tied(self, name)
 
     def beyond(self, horizon: float) -> float:
-        """Return how much further than a horizon particles are exchanged [length]."""
+        """Return the distance beyond a horizon at which particles are exchanged [length]."""
         return AROUND * horizon
 
 
@@ -152,8 +152,8 @@ class ParticleContact(Condition):
     Two particles without a bond, because they never had one or it has broken, repel each other along their distance r
     with the force ``stiffness A (r0 - r)`` if ``r < r0``. ``r0`` is ``distance``, or their distance in the undeformed
     body if that is smaller, so that there is no force at the start. The area A is ``sqrt(V_i V_j)`` over the mean
-    spacing. There is no friction. Facets of surfaces transfer a pressure better: use ``BodyContact`` where bodies do
-    not break.
+    spacing. There is no friction. Facets of surfaces transfer a pressure better: use ``BodyContact`` if bodies do not
+    break.
 
     Parameters
     ----------

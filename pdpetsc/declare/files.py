@@ -41,7 +41,7 @@ from pdpetsc.declared import Positive
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
 
-# A cell whose volume is below this share of that of the box around it has none.
+# Smallest volume of a cell over that of its bounding box [-].
 NO_VOLUME = 1e-10
 
 
@@ -49,16 +49,16 @@ NO_VOLUME = 1e-10
 class Mesh(Particles):
     """One particle per cell of a mesh, at the cell's centroid and with its volume.
 
-    Edges with a node in their middle are the parabolas through it, faces the quadratic surfaces through theirs:
-    volumes, centroids and the surface are those of the curved cells. Edges without one are straight.
+    Edges with a node in their middle are parabolas, and faces with such nodes are quadratic surfaces. Volumes,
+    centroids and the surface are those of the curved cells. Other edges are straight.
 
-    The cells of the highest dimension count; spheres of Exodus are particles with the volumes that they have there.
-    What the file names becomes named sets:
+    Cells of the highest dimension become particles. Spheres of Exodus become particles with their volumes in the file.
+    Named entities of the file become sets:
 
     - cell sets, element blocks and physical groups, unnamed ones as ``group_n``;
     - side sets, surfaces, and groups of boundary lines and faces: the cells that own these facets, unnamed ones as
-      ``side_set_n`` or ``facets_n``; ``name facets`` where cells have the name;
-    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` where cells or facets
+      ``side_set_n`` or ``facets_n``; ``name facets`` if cells have the name;
+    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` if cells or facets
       have the name.
 
     For loads on the surface the names of side sets, of boundary lines and faces and of node sets are those of facets.
@@ -71,8 +71,8 @@ class Mesh(Particles):
     thickness : float
         Out-of-plane thickness of a plane mesh [length], or cross-section of a line mesh [length^2].
     format : str, optional
-        ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by the
-        ending of the file where absent.
+        ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by default
+        from the ending of the file.
 
     Examples
     --------
@@ -105,21 +105,21 @@ class Mesh(Particles):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the cells, or the nodes with theirs, are not those of a lattice."""
+        """Return True unless the cells, or the dual cells of nodes, form a lattice."""
         whole = self.chunk(0, 1)
         return Arrays(whole.x, whole.volume, thickness=self.thickness).irregular
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the facets of the cells of a part that belong to one cell only, or that a crack frees.
+        """Return the facets of the cells of a part that belong to one cell only, or that a crack separates.
 
-        Their tags are groups of boundary lines and faces, side sets, and node sets: the facets with all corners in
-        these. They have the names of the sets of particles; where cells have the name too it stands for the facets.
+        Their tags are groups of boundary lines and faces, side sets, and node sets: the facets with all corners in the
+        set. They have the names of the sets of particles. A name that cells have too means the facets here.
         """
         count, found = self._facets(cracks) if cracks else _whole_surface(self, stamp_of(self.path))
         return found.of_particles(part * count // parts, (part + 1) * count // parts)
 
     def triangles(self, part: int, parts: int) -> Float | None:
-        """Return the free facets of the cells, by their corners, all as the first part; quadrilaterals are halved."""
+        """Return the free facets of all cells as triangles in the first part; quadrilaterals are halved."""
         mesh = read_mesh(Path(self.path), self.format)
         if _of_spheres(mesh):
             return None
@@ -138,7 +138,7 @@ class Mesh(Particles):
         return np.asarray(halves)
 
     def cells(self) -> Cells:
-        """Return the cells of the mesh; curved edges in the plane are two lines each."""
+        """Return the cells of the mesh; a curved edge in the plane becomes two lines."""
         mesh = read_mesh(Path(self.path), self.format)
         if _of_spheres(mesh):
             return super().cells()
@@ -175,7 +175,7 @@ class Mesh(Particles):
         return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags, corners)
 
     def _spheres(self, mesh: MeshData) -> Arrays:
-        """Return the particles of a mesh of spheres with volumes of their own."""
+        """Return the particles of a mesh of spheres with volumes."""
         volumes = [block.volume for block in mesh.blocks if block.volume is not None]
         volume = np.concatenate(volumes)
         wrong = np.flatnonzero(~(np.isfinite(volume) & (volume > 0.0)))
@@ -218,15 +218,16 @@ class Mesh(Particles):
 
 @dataclass(frozen=True)
 class MeshNodes(Mesh):
-    """One particle per corner node of a mesh, with the volume of its dual cell: some sit on the boundary itself.
+    """One particle per corner node of a mesh, with the volume of its dual cell; some particles are on the boundary.
 
-    Edges are straight: nodes between corners are left out. Simplices share their volume equally between their corners,
-    facets their area: prescribed displacements then act on the boundary, not half a cell inside. The sets are
+    Edges are straight, and nodes between corners are left out. Simplices divide their volume equally among their
+    corners, and facets their area. Prescribed displacements then act on the boundary, not half a cell inside. The sets
+    are
 
     - cell sets, element blocks and physical groups: the corners of their cells, those on a common border in both;
-    - groups of boundary lines and faces: the corners of these, as ``name facets`` where cells have the name;
+    - groups of boundary lines and faces: their corners, as ``name facets`` if cells have the name;
     - side sets, surfaces: the corners of their facets, as for these groups;
-    - node sets; ``name nodes`` where cells or facets have the name.
+    - node sets; ``name nodes`` if cells or facets have the name.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ class MeshNodes(Mesh):
     """
 
     def _cells(self, given: MeshData | None = None) -> tuple[MeshData, Float, list[Block]]:
-        """Return what Mesh has, with the corners of the cells alone."""
+        """Return the same as ``Mesh``, with the corner nodes of the cells only."""
         mesh, points, chosen = super()._cells(given)
         mesh = replace(mesh, blocks=[Block(block.kind, block.corners) for block in mesh.blocks])
         return mesh, points, [block for block in mesh.blocks if block.dim == chosen[0].dim]
@@ -285,7 +286,7 @@ class MeshNodes(Mesh):
 
 
 def _of_spheres(mesh: MeshData) -> bool:
-    """Return whether all cells of a mesh are spheres with volumes of their own."""
+    """Return True if all cells of a mesh are spheres with volumes."""
     blocks = [block for block in mesh.blocks if len(block.nodes)]
     return bool(blocks) and all(block.volume is not None for block in blocks)
 
@@ -294,7 +295,7 @@ def _of_spheres(mesh: MeshData) -> bool:
 def _whole_surface(mesh: Mesh, version: tuple[int, ...] | None) -> tuple[int, Facets]:
     """Return the number of particles, and the facets of all of them without cracks.
 
-    The result is cached, since every traction asks for it, as long as the file has the same ``version``.
+    The result is cached while the file has the same ``version``, because every traction needs it.
     """
     return mesh._facets(())
 
@@ -325,18 +326,18 @@ def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tu
 
 @dataclass(frozen=True)
 class _Named:
-    """What a mesh names, by the names that it has for regions.
+    """Named entities of a mesh, by their names for regions.
 
     Attributes
     ----------
     cells : dict of str to (n,) int64
         Particles.
     behind : dict of str to (n,) int64
-        Particles that facets belong to.
+        Particles of named facets.
     facets : dict of str to (n_facets,) bool
-        These facets.
+        Flags of named facets.
     nodes : dict of str to (n,) int64
-        Rows of the points.
+        Named nodes, as rows of the points.
     """
 
     cells: dict[str, GlobalIndex]
@@ -346,7 +347,7 @@ class _Named:
 
 
 def _named(mesh: MeshData, blocks: list[Block], surface: Callable[[], CellFacets]) -> _Named:
-    """Return what a mesh names; ``surface`` gives all facets of its cells, where there are names of some."""
+    """Return the named entities of a mesh; ``surface`` returns all facets of its cells, if some have names."""
     number, dim = _particles(mesh, blocks), blocks[0].dim
     starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
     cells, behind, flags = dict[str, GlobalIndex](), dict[str, GlobalIndex](), dict[str, Mask]()
@@ -396,14 +397,14 @@ def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]
 
 
 def _tags(mesh: MeshData, found: CellFacets, blocks: list[Block]) -> dict[str, Mask]:
-    """Return which facets of cells have the names of facets and nodes of a mesh."""
+    """Return flags of the facets of cells for each name of facets or nodes of a mesh."""
     named = _named(mesh, blocks, lambda: found)
     tags = {name: with_corners_in(nodes, found) for name, nodes in named.nodes.items()}
     return tags | {name.removesuffix(" facets"): flags for name, flags in named.facets.items()} | named.facets
 
 
 def _node_sets(mesh: MeshData, points: Float, blocks: list[Block], nodes: GlobalIndex) -> dict[str, Mask]:
-    """Return which of the corner nodes belong to the sets of cells, of facets and of nodes of a mesh."""
+    """Return flags of the corner nodes for each set of cells, facets or nodes of a mesh."""
     surface = cache(lambda: facets(points, blocks))
     named = _named(mesh, blocks, surface)
     starts = np.cumsum([0, *(len(block.nodes) for block in blocks)])

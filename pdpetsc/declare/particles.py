@@ -1,4 +1,4 @@
-"""Where particles come from: lattices, arrays, text files and meshes."""
+"""Sources of particles: base class, lattices and arrays."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pdpetsc.declare.tiling import Cells, boxes, lattice, spacings, voronoi
 from pdpetsc.declared import Declared, Positive, real_numbers, shown
 from pdpetsc.errors import CaseError
 
-# A side may differ from a whole number of cells by this share of it.
+# Relative tolerance of a side that must be a whole number of cells [-].
 WHOLE_CELLS = 1e-6
-# Numbers of a lattice that differ by less, relatively, are the same.
+# Relative tolerance of positions and volumes of a lattice [-].
 ALONG = 1e-6
-# A facet does not look along a normal that its own one has less of than this share.
+# Projected areas of a facet below this fraction of its area are zero [-].
 ACROSS = 1e-12
 
 
@@ -32,8 +32,8 @@ ACROSS = 1e-12
 class Chunk:
     """A contiguous part of the particles: positions, volumes and named sets.
 
-    ``spacing`` (n,) [length] is how far they are apart, where it does not follow from their volumes. ``body`` (n,) is
-    the number of the body of each, if there are several: particles of two bodies have no bond.
+    ``spacing`` (n,) is the local spacing [length], if it does not follow from the volumes. ``body`` (n,) is the number
+    of the body of each particle, if there are several: particles of different bodies have no bonds.
     """
 
     x: Float
@@ -50,7 +50,7 @@ class Particles(Declared, ABC):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the particles are known to be no lattice of equal cells: standard weights do not converge.
+        """Return True if the particles are known to be irregular, so that standard weights do not converge.
 
         Raises
         ------
@@ -61,16 +61,16 @@ class Particles(Declared, ABC):
 
     @property
     def fills_boxes(self) -> bool:
-        """Return whether particles are known to be in the middles of equal boxes: their places tell their surface."""
+        """Return True if particles are known to be centres of equal boxes, so that positions determine the surface."""
         return False
 
     @property
     def on_surface(self) -> bool:
-        """Return whether particles are known to lie on the surface itself, as nodes do."""
+        """Return True if outer particles are known to be on the surface itself, as nodes are."""
         return False
 
     def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
+        """Return the free facets of the cells of a part, with particles counted from the first one of the part.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class Particles(Declared, ABC):
         Raises
         ------
         CaseError
-            The particles do not know the faces of their cells.
+            The faces of the cells are unknown.
         """
         raise CaseError(
             f"{type(self).__name__} has no known surface, as conforming weights and surface loads need. Use a Lattice "
@@ -91,7 +91,7 @@ class Particles(Declared, ABC):
         )
 
     def stairs(self, part: int, parts: int) -> int:
-        """Return how many facets of a part are steps of a staircase: one cell high, with a corner on either side.
+        """Return the number of facets of a part that are steps of a staircase: one cell high, between two corners.
 
         0 if the particles do not form a lattice. Surfaces along the planes of the lattice have none.
         """
@@ -100,12 +100,12 @@ class Particles(Declared, ABC):
     def triangles(self, part: int, parts: int) -> Float | None:
         """Return the surface of a solid body as triangles (n, 3, 3) [length], outward by the right hand.
 
-        Of all parts together they are closed. None where the outlines of its facets are not known.
+        The triangles of all parts form a closed surface. None if the outlines of the facets are unknown.
         """
         return None
 
     def cells(self) -> Cells:
-        """Return the cells of all particles, for pictures: by default as ``cells_of`` makes them.
+        """Return the cells of all particles, for pictures; by default those of ``cells_of``.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Particles(Declared, ABC):
         """
 
     def estimate(self) -> int:
-        """Return how many particles are made at most, before any is; 0 where that is not known."""
+        """Return an upper bound of the number of particles without creating them; 0 if it is unknown."""
         return 0
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
@@ -149,7 +149,7 @@ class Particles(Declared, ABC):
         Raises
         ------
         CaseError
-            The area of the free faces does not follow from the particles.
+            The free faces of the cells are unknown.
         """
         _, area, particle, _ = self.surface(part, parts).arrays
         along = area @ np.asarray(normal, dtype=float)
@@ -172,7 +172,7 @@ class Lattice(Particles):
     cut : Region, optional
         Particles to leave out.
     keep : Region, optional
-        Particles to take; all others are left out.
+        Particles to keep; all others are left out.
     fictitious : mapping of {"-x", "+x", "-y", "+y", "-z", "+z"} to float
         Depth [length] of a layer of further particles beyond a side, as many as fit. They form the sets
         ``fictitious`` and ``fictitious -x`` (and so on); the others form the set ``real``.
@@ -226,7 +226,7 @@ class Lattice(Particles):
     fills_boxes = True
 
     def estimate(self) -> int:
-        """Return the number of cells, cut out or not."""
+        """Return the number of cells, including those that are cut out."""
         low, high = self.box
         real = ((high - low) / self.spacing).tolist()
         return math.prod(
@@ -255,22 +255,22 @@ class Lattice(Particles):
         return lattice(self.chunk(0, 1).x, np.full(self.dim, self.spacing))
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the faces of the cells of a part without a neighbour, or with a crack before it.
+        """Return the faces of the cells of a part without a neighbour, or with a crack in front of it.
 
-        They have the tags ``-x``, ``+x`` and so on by the direction that they look in. A boundary that is curved or at
-        an angle is a staircase of them.
+        They have the tags ``-x``, ``+x`` and so on by the direction of their outward normal. A curved or inclined
+        boundary is a staircase of such faces.
         """
         x = self.chunk(part, parts).x
         return _lattice_facets(x, np.full(self.dim, self.spacing), self.thickness, self._has, cracks)
 
     def stairs(self, part: int, parts: int) -> int:
-        """Return how many facets of a part are steps of a staircase."""
+        """Return the number of facets of a part that are steps of a staircase."""
         if self.cut is None and self.keep is None:
             return 0
         return _stairs(self.chunk(part, parts).x, np.full(self.dim, self.spacing), self._has)
 
     def _has(self, x: Float) -> Mask:
-        """Return which places (n, dim) are centres of cells with a particle."""
+        """Return flags of the positions (n, dim) that are centres of cells with a particle."""
         low, high = self.box
         first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
@@ -280,7 +280,7 @@ class Lattice(Particles):
         return np.asarray(inside)
 
     def _kept(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
-        """Return which cells have a particle."""
+        """Return flags of the cells that have a particle."""
         view = View(x, sets, minimum=_refuse_nearest)
         kept = np.ones(len(x), dtype=bool)
         if self.keep is not None:
@@ -290,7 +290,7 @@ class Lattice(Particles):
         return kept
 
     def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
-        """Return the named sets of cells at ``x``, of which some are ``real``."""
+        """Return the named sets of cells at ``x``, from the flags ``real`` of cells in the real body."""
         sets = {"real": real, "fictitious": ~real}
         low, high = self.box
         for side in self.fictitious:
@@ -304,11 +304,11 @@ class Lattice(Particles):
 
 @dataclass(frozen=True)
 class LatticeNodes(Particles):
-    """A line, rectangle or box with particles at the corners of equal cells, some on the boundary itself.
+    """A line, rectangle or box with particles at the corners of equal cells; some particles are on the boundary.
 
-    Every cell gives each of its corners the same share of its volume, ``1 / 2^dim``: particles on a side have half, on
-    an edge a quarter of a cell. Prescribed displacements then act on the boundary, where the outermost particles of a
-    ``Lattice`` are half a cell inside. The surface is that of the cells, divided among the corners alike.
+    Every cell adds the fraction ``1 / 2^dim`` of its volume to each of its corners: a particle on a side has half a
+    cell, one on an edge a quarter. Prescribed displacements then act on the boundary, whereas the outermost particles
+    of a ``Lattice`` are half a cell inside. The surface of the cells is divided among the corners in the same way.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ class LatticeNodes(Particles):
     cut : Region, optional
         Cells to leave out, by their centres.
     keep : Region, optional
-        Cells to take; all others are left out.
+        Cells to keep; all others are left out.
 
     Examples
     --------
@@ -344,7 +344,7 @@ class LatticeNodes(Particles):
     on_surface = True
 
     def estimate(self) -> int:
-        """Return the number of corners, of cells that are cut out or not."""
+        """Return the number of corners, including those of cells that are cut out."""
         return math.prod(self._counts)
 
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -359,12 +359,12 @@ class LatticeNodes(Particles):
         return replace(self._cells.cells(), particle=None)
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the shares that particles of a part have of the free faces of the cells, with tags ``-x``, ``+x``, ...
+        """Return the parts of the free faces of cells that belong to particles of a part; tags are ``-x``, ``+x``, ...
 
         Raises
         ------
         CaseError
-            There are cracks: they cut bonds between corners, and free no face of a cell.
+            There are cracks, which cut bonds between corners, but separate no faces of cells.
         """
         if cracks:
             raise CaseError(
@@ -379,7 +379,7 @@ class LatticeNodes(Particles):
             for axis in range(dim):
                 across = np.flatnonzero((offsets == np.where(np.arange(dim) == axis, -offset, offset)).all(axis=1))[0]
                 found = np.flatnonzero(filled[:, number] & ~filled[:, across])
-                # The middle of the share of the face, which looks from the cell to the corner.
+                # The centre of the part of the face that belongs to the corner.
                 places.append(x[found] + 0.25 * self.spacing * np.where(np.arange(dim) == axis, 0.0, offset))
                 areas.append(np.tile(-side * offset[axis] * np.eye(dim)[axis], (len(found), 1)))
                 particles.append(found)
@@ -391,7 +391,7 @@ class LatticeNodes(Particles):
         return Facets(middle, area, np.concatenate(particles), named, corners)
 
     def stairs(self, part: int, parts: int) -> int:
-        """Return how many facets of the cells of a part are steps of a staircase."""
+        """Return the number of facets of the cells of a part that are steps of a staircase."""
         return self._cells.stairs(part, parts)
 
     def triangles(self, part: int, parts: int) -> Float | None:
@@ -411,9 +411,9 @@ class LatticeNodes(Particles):
         return [round(n) + 1 for n in ((high - low) / self.spacing).tolist()]
 
     def _corners(self, part: int, parts: int) -> tuple[Float, Float, Mask]:
-        """Return the corners of a part (n, dim), the directions of the cells around (2^dim, dim), and which are there.
+        """Return the corners of a part (n, dim), the directions of the cells around a corner (2^dim, dim), and flags.
 
-        The third is (n, 2^dim).
+        The flags (n, 2^dim) mark the cells around each corner that exist.
         """
         cells, counts = self._cells, self._counts
         total = math.prod(counts)
@@ -421,7 +421,7 @@ class LatticeNodes(Particles):
         low, _ = cells.box
         node = np.stack(np.unravel_index(index, counts), axis=1)
         offsets = np.array(list(itertools.product((-1.0, 1.0), repeat=cells.dim)))
-        # The same numbers from every corner, so that all agree on a cell at the edge of a region.
+        # A cell at the edge of a region has the same centre from each of its corners, so that they agree on it.
         filled = np.stack([cells._has(low + (node + 0.5 * offset) * self.spacing) for offset in offsets], axis=1)
         taken = filled.any(axis=1)
         return (low + node * self.spacing)[taken], offsets, filled[taken]
@@ -442,7 +442,7 @@ class Arrays(Particles):
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
     facets : Facets, optional
-        The surface of the cells of the particles, where they are not those of a lattice.
+        The surface of the cells of the particles, if they do not form a lattice.
 
     Examples
     --------
@@ -477,23 +477,23 @@ class Arrays(Particles):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the particles do not fill the cells of a lattice."""
+        """Return True unless the particles fill the cells of a lattice."""
         return self._lattice() is None
 
     def cells(self) -> Cells:
-        """Return cells that end at the given facets, or as ``cells_of`` makes them."""
+        """Return cells that end at the declared facets, or those of ``cells_of``."""
         x = np.asarray(self.x, dtype=float)
         if self.facets is not None and x.shape[1] == 2 and self.irregular:
             return voronoi(x, self.facets.arrays[:3])
         return super().cells()
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the facets that were given, or those of the lattice whose cells the particles fill.
+        """Return the declared facets, or those of the lattice that the particles form.
 
         Raises
         ------
         CaseError
-            None were given, and the particles are no lattice; or cracks cut cells whose faces are not known.
+            No facets are declared and the particles form no lattice, or cracks cut cells whose faces are unknown.
         """
         x = np.asarray(self.x, dtype=float)
         first, last = part * len(x) // parts, (part + 1) * len(x) // parts
@@ -511,13 +511,13 @@ class Arrays(Particles):
         return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
 
     def stairs(self, part: int, parts: int) -> int:
-        """Return how many facets of a part are steps of a staircase; 0 for particles that fill no lattice."""
+        """Return the number of facets of a part that are steps of a staircase; 0 for irregular particles."""
         x = np.asarray(self.x, dtype=float)
         lattice = self._lattice()
         return 0 if lattice is None else _stairs(x[part * len(x) // parts : (part + 1) * len(x) // parts], *lattice)
 
     def _lattice(self) -> tuple[Float, Callable[[Float], Mask]] | None:
-        """Return the sizes of the cells (dim,) [length], and what tells which places (n, dim) are centres of them.
+        """Return the sizes of the cells (dim,) [length], and a function that flags positions (n, dim) of centres.
 
         None if the positions or the volumes are not those of equal cells.
         """
@@ -552,7 +552,7 @@ class Arrays(Particles):
 
 
 def _numbers(what: str, values: ArrayLike) -> Float:
-    """Return what a case gives as an array of numbers."""
+    """Return declared values as an array of numbers."""
     found = real_numbers(values)
     if found is None:
         raise CaseError(f"The {what} of Arrays are an array of numbers, not {shown(values)}.")
@@ -560,7 +560,7 @@ def _numbers(what: str, values: ArrayLike) -> Float:
 
 
 def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
-    """Raise CaseError unless the members of a set are a flag for each of n particles, or indices of some."""
+    """Raise CaseError unless the members of a set are flags of n particles, or their indices."""
     found = np.asarray(members)
     if found.dtype == bool and found.shape == (n,):
         return
@@ -574,7 +574,7 @@ def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
 def _lattice_facets(
     x: Float, sizes: Float, thickness: float, has: Callable[[Float], Mask], cracks: Sequence[Crack]
 ) -> Facets:
-    """Return the free faces of box cells of equal sizes (dim,) with centres ``x``, and those that cracks free."""
+    """Return the free faces of box cells of equal sizes (dim,) with centres ``x``, and those that cracks separate."""
     dim = x.shape[1]
     side = _cell_sides(sizes, thickness)
     places, areas, particles, directions = [np.empty((0, dim))], [np.empty((0, dim))], [np.empty(0, np.int64)], []
@@ -607,7 +607,7 @@ def box_corners(x: Float, area: Float, sizes: Float) -> Float | None:
 
 
 def _stairs(x: Float, sizes: Float, has: Callable[[Float], Mask]) -> int:
-    """Return how many free faces of box cells with centres ``x`` are steps of a staircase, one cell high.
+    """Return the number of free faces of box cells with centres ``x`` that are steps of a staircase, one cell high.
 
     Across such a face the surface turns outward on one side and inward on the other: along some axis the next cell on
     one side is missing too, and on the other side there are that cell and the one before it.
@@ -657,10 +657,10 @@ def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np
 
 
 def cells_of(x: Float, volume: Float, thickness: float) -> Cells:
-    """Return cells of particles of which positions and volumes are known.
+    """Return the cells of particles from their positions and volumes.
 
-    These are the cells of a lattice, else Voronoi cells in the plane, else boxes of the volumes, with sides of 0.5 to
-    1.5 spacings.
+    These are the cells of a lattice, else Voronoi cells in the plane, else boxes with the volumes of the particles and
+    sides of 0.5 to 1.5 spacings.
 
     Parameters
     ----------
@@ -669,7 +669,7 @@ def cells_of(x: Float, volume: Float, thickness: float) -> Cells:
     volume : (n,) float64
         Volumes [length^dim times thickness].
     thickness : float
-        Of a plane body [length], cross-section of a line body [length^2], 1 of a solid one.
+        Thickness of a plane body [length], cross-section of a line body [length^2], 1 for a solid body.
     """
     found = lattice_cells(x, volume, thickness)
     if found is not None:

@@ -63,7 +63,7 @@ class Interface:
         self._pc: PETSc.PC | None = None
 
     def take(self, tangent: Tangent, scale: float) -> tuple[Tangent, Tangent]:
-        """Take the stiff products of a tangent, over the scale: S and ``on_nodes``; return the rest and these."""
+        """Compute S and ``on_nodes``, over the scale, from the stiff part of a tangent; return rest and stiff part."""
         cloud, dim, turned = self._body.cloud, self._dim, self._turned
         stiff = [part for part in (product.stiff() for product in tangent.products) if part is not None]
         size = cloud.n_local * dim
@@ -135,7 +135,7 @@ class Interface:
         matrix.destroy()
 
     def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with ``D + S``; with D alone where no facets touch."""
+        """Solve with ``D + S``, or with D if there are no stiff products."""
         values = x.array_r.reshape(-1, self._dim)
         found = np.einsum("pij,pj->pi", self._inverse, values)
         if self._pc is not None:

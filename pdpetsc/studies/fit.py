@@ -126,7 +126,7 @@ class _Search:
         self.known: dict[tuple[float, ...], Point] = {}
 
     def values(self, x: Float) -> dict[str, float]:
-        """Return the parameters at shares of their ranges."""
+        """Return the parameters at fractions of their ranges."""
         shares = zip(self.ranges.items(), x.tolist(), strict=True)
         return {name: float(f"{one.at(share):.{DIGITS}g}") for (name, one), share in shares}
 

@@ -171,7 +171,7 @@ class Case(Declared):
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
-        """Return the materials with the regions they are in."""
+        """Return the materials with their regions."""
         if isinstance(self.material, AnyMaterial):
             return [(All(), self.material)]
         return list(self.material)

@@ -104,7 +104,7 @@ class BodyContact(TwoParts):
 
 @dataclass(frozen=True)
 class Tied(TwoParts):
-    """Tie two parts of the surface that touch or nearly touch: bodies of unlike spacings move as one.
+    """Tie two parts of the surface that touch or nearly touch, so that bodies of different spacings move as one.
 
     Facets that overlap in the undeformed bodies form pairs. Both facets of a pair feel opposite tractions
     ``stiffness (u - u')`` of the displacements at the middle of the overlap, times its area. A uniform stress passes
@@ -147,13 +147,12 @@ class Tied(TwoParts):
 
 @dataclass(frozen=True)
 class ParticleContact(Condition):
-    """Short-range repulsion of particles without a bond: fragments, and the faces of cracks, that are pushed together.
+    """Short-range repulsion of particles without a bond, for fragments and for the faces of cracks.
 
-    Two particles without a bond, because they never had one or it has broken, repel each other along their distance r
-    with the force ``stiffness A (r0 - r)`` if ``r < r0``. ``r0`` is ``distance``, or their distance in the undeformed
-    body if that is smaller, so that there is no force at the start. The area A is ``sqrt(V_i V_j)`` over the mean
-    spacing. There is no friction. Facets of surfaces transfer a pressure better: use ``BodyContact`` if bodies do not
-    break.
+    Two particles without a bond, or with a broken bond, repel each other along their distance r with the force
+    ``stiffness A (r0 - r)`` if ``r < r0``. ``r0`` is ``distance``, or their distance in the undeformed body if that is
+    smaller, so that there is no force at the start. The area A is ``sqrt(V_i V_j)`` over the mean spacing. There is no
+    friction. Facets of surfaces transfer a pressure better: use ``BodyContact`` if bodies do not break.
 
     Parameters
     ----------

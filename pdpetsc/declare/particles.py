@@ -77,7 +77,7 @@ class Particles(Declared, ABC):
         part, parts : int
             As for ``chunk``.
         cracks : sequence of Crack
-            Faces between two cells whose centres a crack separates are facets of both.
+            Faces between two cells are facets of both if a crack separates the centres of the cells.
 
         Raises
         ------
@@ -395,7 +395,7 @@ class LatticeNodes(Particles):
         return self._cells.stairs(part, parts)
 
     def triangles(self, part: int, parts: int) -> Float | None:
-        """Return the halves of the free faces of the cells."""
+        """Return the free faces of the cells, each as two triangles."""
         if self._cells.dim < 3:
             return None
         a, b, c, d = np.moveaxis(np.asarray(self._cells.surface(part, parts).corners), 1, 0)
@@ -526,7 +526,7 @@ class Arrays(Particles):
         if found is None:
             return None
         cell, sizes = found
-        # One number for each cell, with room for a neighbour on every side.
+        # Number the cells, leaving room for a neighbour on every side.
         width = cell.max(axis=0) + 3
         weights = np.concatenate([[1], np.cumprod(width[:-1])])
         taken, low = np.sort((cell + 1) @ weights), x.min(axis=0)

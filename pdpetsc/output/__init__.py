@@ -1,1 +1,1 @@
-"""What a run leaves behind: fields, history, summary, checkpoint and picture."""
+"""Output of a run: fields, history, summary, checkpoint and picture."""

@@ -1,4 +1,4 @@
-"""``broken_bonds.csv``: which bonds broke, when and where."""
+"""``broken_bonds.csv``: the broken bonds, with step and position."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BrokenBonds(Observer):
         self._bonds = bonds
 
     def begin(self, observed: Observed) -> None:
-        """Write the rows before a restart."""
+        """Write the header and the rows before a restart."""
         super().begin(observed)
         comm, origin = observed.comm, observed.origin
         header = ["step", "t", "i", "j", "length", *"xyz"[: self._bonds.of.cloud.dim]]
@@ -57,7 +57,7 @@ class BrokenBonds(Observer):
         return {}
 
     def end(self) -> None:
-        """Wait until all rows are on the disk."""
+        """Flush all rows to disk."""
         self.table.flush()
 
     def _append(self, step: int, t: float) -> None:

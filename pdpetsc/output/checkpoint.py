@@ -1,4 +1,4 @@
-"""``checkpoint.h5``: what a continued run needs, readable on any number of ranks."""
+"""``checkpoint.h5``: the state from which a run continues, readable on any number of ranks."""
 
 from __future__ import annotations
 

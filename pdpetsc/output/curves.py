@@ -1,4 +1,4 @@
-"""Curves of a run: the columns of its history, load against displacement, and how its steps converged."""
+"""Curves of a run: the columns of its history, load against displacement, and the convergence of its steps."""
 
 from __future__ import annotations
 

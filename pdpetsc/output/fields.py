@@ -191,7 +191,7 @@ class FieldWriter:
                         )
                         file.attrs["t"], file.attrs["run"] = t, self._run
                         if self.together:
-                            # Parallel HDF5 opens it again, on all ranks.
+                            # All ranks open the file again with parallel HDF5.
                             made.close()
                             reserve(aside, size)
                     except WRITE_ERRORS as error:

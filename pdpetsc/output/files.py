@@ -292,7 +292,7 @@ def rank_by_rank(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterato
 
 
 class InCreationOrder:
-    """Rearranges rows of own particles so that rank ``r`` holds the ``r``-th part of the global ids, in order.
+    """Rearrange rows of own particles: rank ``r`` gets the rows of the ``r``-th part of the global ids, in order.
 
     Notes
     -----

@@ -31,7 +31,7 @@ from pdpetsc.discrete.communicator import Comm, agreed
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import digest_of
 
-# Parts of a case that a continued run may change: load steps, solver and output.
+# Parts of a case that a continued run may change: load steps, solver, output, expected results and units.
 MAY_DIFFER = {
     "steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect", "units"
 }  # fmt: skip
@@ -250,7 +250,7 @@ def _content_of(value: Any) -> bytes | None:
     if isinstance(value, enum.Enum):
         return _hash("enum", type(value).__qualname__, value.name)
     if isinstance(value, int | float | np.integer | np.floating):
-        # 1 and 1.0 are the same load.
+        # 1 and 1.0 have the same fingerprint.
         number: Any = value
         exact = isinstance(value, float | np.floating) or -(2**53) < number < 2**53
         return _hash("number", repr((float(number) if exact else int(number)) + 0))

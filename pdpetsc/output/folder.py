@@ -22,7 +22,7 @@ LOCK = ".pdpetsc-lock"
 PATIENCE = 300
 # Folder to which a new run moves the results of the run before.
 EARLIER = "earlier"
-# Folder of the files of fields.
+# Folder of the field files.
 FIELDS = "fields"
 # Surface of the body in that folder, written if positions alone do not determine it.
 SURFACE = "surface.h5"
@@ -170,7 +170,7 @@ def _started(pid: int) -> str:
     except PermissionError:
         pass
     try:
-        # The name in brackets may hold anything; the start in clock ticks since the boot is the 20th word after it.
+        # The process name in brackets may be any text; the 20th word after it is the start in clock ticks since boot.
         words = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
         return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {words[19]}" if words[0] != "Z" else ""
     except (OSError, IndexError):

@@ -49,7 +49,7 @@ class Origin:
 
 @dataclass
 class Observed:
-    """A run as its observers see it.
+    """The data of a run for its observers.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Observer:
 
     Notes
     -----
-    All methods but ``summary`` and ``warnings`` are collective.
+    All methods except ``summary``, ``results`` and ``warnings`` are collective.
     """
 
     observed: Observed
@@ -143,7 +143,7 @@ class Observer:
         return {}
 
     def warnings(self, steps: StepRecords) -> Sequence[str]:
-        """Return the sentences that a user should read at the end."""
+        """Return the warnings that are printed at the end."""
         return ()
 
     def finish(self) -> None:

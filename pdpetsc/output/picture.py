@@ -63,7 +63,7 @@ def picture_of_run(folder: Path, field: str | None = None, component: str = "", 
     Raises
     ------
     CaseError
-        The folder holds no fields, or not such a field or component.
+        The folder holds no fields, or no such field or component.
     """
     names = StoredFields(folder).names()
     if field is None:
@@ -285,7 +285,7 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
 
 
 def _from_behind(scene: Scene) -> bool:
-    """Return True if a cut face is seen from larger y only."""
+    """Return True if a cut face is visible from larger y only."""
     return any(axis == "y" for axis, _ in scene.cuts)
 
 

@@ -128,7 +128,7 @@ class ConsoleReport(Report):
     comm : Comm
         The ranks of the run.
     quiet, verbose : bool
-        Print nothing but warnings, or also details.
+        Print warnings only, or also details.
     """
 
     def __init__(self, comm: Comm, quiet: bool, verbose: bool = False) -> None:

@@ -46,11 +46,11 @@ class Scene:
     y : (m, 3) float64
         Positions at which the particles are drawn, except those that are cut off [length].
     values : (n,) float64
-        Values that the colours show.
+        Values shown by the colours.
     dim : int
         Dimension of the picture: 1 for a curve, 2 or 3 for cells.
     cells : Cells
-        Deformed cells of a plane body, in the plane, or the surface of those of a solid body with the faces of cracks.
+        Deformed cells of a plane body, or for a solid body their surface, including the faces of cracks.
     margin : float
         How far the largest cell extends from its particle [length].
     horizon : float or None
@@ -186,9 +186,9 @@ def _body_of(
     folder: Path, stored: StoredFields, summary: Mapping[str, Any], step: int | None, scale: float, stride: int,
     cuts: Sequence[Cut] = (),
 ) -> _Body:  # fmt: skip
-    """Return the cells of the particles of a run at a step; boxes of volumes if only every n-th particle is drawn.
+    """Return the cells of the particles of a run at a step, or boxes if only every n-th particle is drawn.
 
-    Runs of earlier versions have no file of cells: cells follow from positions and volumes.
+    Runs of earlier versions have no file of cells; the cells are then computed from positions and volumes.
     """
     position, volume = (stored.of_particles(name, stride) for name in ("position", "volume"))
     cells = read_cells(folder, stored.run) if stride == 1 else None
@@ -278,7 +278,7 @@ def frame_of(
     ends, lows, highs = [], [], []
     for step in steps:
         values = component_of(stored.field(name, step, stride), component)
-        # A curve is shown with its peaks.
+        # The scale of a curve includes its peaks.
         ends.append(limits_of(values) if dim > 1 else (float(np.nanmin(values)), float(np.nanmax(values))))
         y = (x + scale * stored.field("displacement", step, stride))[left]
         lows.append(y.min(axis=0))
@@ -287,19 +287,19 @@ def frame_of(
 
 
 def _stride(stored: StoredFields) -> int:
-    """Return one in how many particles is drawn."""
+    """Return n if every n-th particle is drawn."""
     return max(1, -(-stored.n_particles // MOST))
 
 
 def limits_of(values: Float) -> tuple[float, float]:
-    """Return the ends of a scale of colours: all but the outermost values, which may be those of few particles."""
+    """Return the ends of the colour scale, without the outermost values, which may be those of few particles."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.percentile(finite, SHOWN))
     largest = float(np.abs(finite).max())
     if high - low <= 1e-9 * largest:
-        # Round-off is no pattern.
+        # Do not magnify round-off.
         return low - 0.05 * abs(low), high + 0.05 * abs(high)
     return _without_round_off(low, high, largest)
 
@@ -347,7 +347,7 @@ def gradients(x: Float, u: Float, held: Held) -> Float:
     """
     n, dim = x.shape
     F = np.tile(np.eye(dim), (n, 1, 1))
-    # A body of one layer is fitted within the layer.
+    # The fit for a body of one layer is within the layer.
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0)
     most = min(n, {0: 1, 1: 3, 2: 9, 3: 19}[len(axes)])
     if most < 2:

@@ -1,4 +1,4 @@
-"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png ...``.
+"""Program that draws solid bodies with PyVista: ``python solid.py SCENE.npz PICTURE.png ...``.
 
 Without a display or off-screen OpenGL, VTK may end its process. The process is therefore separate from the run, and
 this file imports nothing of pdpetsc, so that it starts quickly.
@@ -58,7 +58,7 @@ def main(source: str, target: str) -> None:
     shift = 0.05 * reach * right / np.linalg.norm(right)
     plotter.camera.position = tuple(np.array(plotter.camera.position) + shift)
     plotter.camera.focal_point = tuple(np.array(plotter.camera.focal_point) + shift)
-    # The axes of a tall body need room above and below it.
+    # The axes of a tall body need space above and below it.
     size = box[1] - box[0]
     plotter.camera.zoom(0.92 if size[2] >= 0.9 * size.max() else 1.02)
     plotter.screenshot(target)

@@ -26,7 +26,7 @@ LOG = "log.txt"
 KEPT = ("summary.json", "history.csv")
 # Fields of an outcome in the record, besides the identity of the run and its files.
 RECORDED = ("parameters", "status", "exit_status", "said", "results", "seconds", "memory", "unstable", "noise")
-# A longer name is cut, and made unique by a fingerprint.
+# Largest length of a name; a longer name is cut, and made unique by a fingerprint.
 LONGEST = 80
 
 

@@ -63,7 +63,7 @@ class Scene:
         Labels of the run.
     limits : (float, float)
         Ends of the colour scale.
-        cuts : sequence of (str, float)
+    cuts : sequence of (str, float)
         Planes beyond which a solid body is not drawn.
     """
 

@@ -386,7 +386,7 @@ class LinearDrivingVariable(LocalDrivingVariable):
 
 
 class StretchDrivingVariable(LinearDrivingVariable):
-    """Stretch over critical stretch, ``x = s / s_c``: elongations of failure are computed on use.
+    """Stretch over critical stretch, ``x = s / s_c``: elongations of failure are computed at the first evaluation.
 
     Parameters
     ----------
@@ -400,7 +400,7 @@ class StretchDrivingVariable(LinearDrivingVariable):
         LocalDrivingVariable.__init__(self, bonds)
         self._stretch = stretch
 
-    @property
+    @cached_property
     def limit(self) -> Float:  # type: ignore[override]
         """Return the elongations of failure (n_bonds,) [length]."""
         return np.asarray(self._stretch * self._bonds.length)

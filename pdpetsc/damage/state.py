@@ -212,9 +212,9 @@ class FailingBonds:
             parts = self._comm.allgather(np.sort(ends)[::-1][: 2 * most])
             candidates = np.sort(np.concatenate(parts))[::-1]
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
-        broken = over >= least
+        broken = np.flatnonzero(over >= least)
         self.phi[broken] = 0.0
-        self.kappa[broken] = np.maximum(self.kappa, driving_variable)[broken]
+        self.kappa[broken] = np.maximum(self.kappa[broken], driving_variable[broken])
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
@@ -251,11 +251,10 @@ class FailingBonds:
 
     def count_broken(self) -> int:
         """Return the number of pairs with a broken bond (collective)."""
-        return self._pairs(~self.intact)
+        return self._pairs(np.flatnonzero(~self.intact))
 
-    def _pairs(self, chosen: Mask) -> int:
-        """Return the number of pairs of chosen bonds (n_bonds,), chosen from both ends (collective)."""
-        bonds = np.flatnonzero(chosen)
+    def _pairs(self, bonds: GlobalIndex) -> int:
+        """Return the number of pairs of selected bonds (n,), selected from both ends (collective)."""
         return int(total(self._comm, len(bonds) + np.count_nonzero(self._twice(bonds)))) // 2
 
     def _first(self, bonds: GlobalIndex) -> Mask:

@@ -195,17 +195,13 @@ def option_used(name: str) -> bool:
     return bool(used.value)
 
 
-def _return_freed_memory() -> None:
-    """Let the C library return freed blocks of at least ``LARGE`` bytes to the system.
+def return_freed_memory(returns: bool) -> None:
+    """Let the C library return freed blocks of at least ``LARGE`` bytes to the system, or keep them for later arrays.
 
-    SuperLU_DIST, which PETSc may load, calls ``mallopt(M_MMAP_MAX, 0)`` and ``mallopt(M_TRIM_THRESHOLD, -1)`` at once.
-    Memory then never returns to the system, and large arrays leave gaps. Smaller blocks stay in the process, because
-    loops allocate them again and again.
+    Set-up needs its large arrays once. The arrays of a march are those of the step before, and their pages would be
+    mapped again each time. SuperLU_DIST, which PETSc may load, lets the C library keep all blocks.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc only
     if mallopt is not None:
-        mallopt(M_MMAP_MAX, MAPPINGS)
+        mallopt(M_MMAP_MAX, MAPPINGS if returns else 0)
         mallopt(M_MMAP_THRESHOLD, LARGE)
-
-
-_return_freed_memory()

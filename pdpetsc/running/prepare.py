@@ -20,6 +20,7 @@ from pdpetsc.discrete.components import refuse_rigid_motion
 from pdpetsc.output.fingerprint import refuse_differing
 from pdpetsc.petsc.defaults import coupled_options, default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
+from pdpetsc.petsc.library import return_freed_memory
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
@@ -143,6 +144,7 @@ class Prepared:
         SolveError
             No further step converges; earlier states remain valid.
         """
+        return_freed_memory(False)
         steps = solver.march(Start(self.solution().unknowns) if start is None else start, on_failure)
         while True:
             with self.options.active():
@@ -189,6 +191,7 @@ def prepare(
     """
     ranks = communicator(comm)
     phases = Phases() if phases is None else phases
+    return_freed_memory(True)
     refuse_differing(ranks, _of_all_ranks(case) | {"options": {**case.options, **(options or {})}})
     chosen = Options({**case.options, **(options or {})})
     with phases.timed("particles"):

@@ -205,3 +205,6 @@ def return_freed_memory(returns: bool) -> None:
     if mallopt is not None:
         mallopt(M_MMAP_MAX, MAPPINGS if returns else 0)
         mallopt(M_MMAP_THRESHOLD, LARGE)
+
+
+return_freed_memory(True)

@@ -180,6 +180,14 @@ class Inertia(Term):
         self.added = raised / before - 1.0 if before > 0.0 else 0.0
 
     @property
+    def rate_of_rigid(self) -> float:
+        """Return a bound on the rate at which dampers slow rigid regions on this rank [1 / time] (not collective)."""
+        if self.damper is None:
+            return 0.0
+        sizes = np.linalg.norm(self.damper[self.carried], ord=2, axis=(1, 2))
+        return float((sizes / self.mass[self.carried]).max(initial=0.0))
+
+    @property
     def parts(self) -> list[str]:
         """Return the names of the parts (not collective)."""
         return ["inertia"]

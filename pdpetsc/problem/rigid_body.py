@@ -309,12 +309,13 @@ class RigidBody:
         self._ended_rates = found
 
     def push(self, unbalanced: Float, dt: float) -> float:
-        """Set other loads that nothing balances at the end of a time step of central differences (n_free,).
+        """Set other loads that nothing balances at the end of a converged time step (n_free,).
 
-        Return the change of ``kinetic``: the forces of the two halves of the kick at this time differ.
+        Return the change of ``kinetic`` by ``dt``: the forces of the two halves of the kick at this time differ.
         """
         before = self.kinetic(dt)
         self._ended_rates[FORCE, self._free] = -unbalanced
+        self.kept[:] = self._both
         return self.kinetic(dt) - before
 
     def _end(self, blend: Blend, dt: float) -> Float:

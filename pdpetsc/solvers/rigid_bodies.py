@@ -296,10 +296,10 @@ class RigidBodies:
         inertia = self._moving
         inertia.v[:] = inertia.with_bodies(inertia.v, state.own, state.t)
 
-    def push(self, state: State, forces: tuple[Float, Float], damping: Float, dt: float) -> float:
-        """Set other forces at the end of a time step of central differences; arguments as for ``unbalanced``.
+    def push(self, state: State, forces: tuple[Float, Float], damping: Float, dt: float = 0.0) -> float:
+        """Set other forces at the end of a converged time step; arguments as for ``unbalanced``.
 
-        Return the change of the kinetic energy of central differences [energy].
+        Return the change of the kinetic energy of central differences of the step ``dt`` [energy].
         """
         off = self.unbalanced(state, forces, damping)
         return sum(rigid.push(one, dt) for (_, rigid), one in zip(self._bodies, off, strict=True))

@@ -6,7 +6,7 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 import pdpetsc as pd
-from tests.commands import results
+from tests.commands import Stop, results
 
 ALL = pd.region.All()
 # Principal moments of inertia and initial angular velocity of a body that tumbles.
@@ -294,6 +294,15 @@ def test_damping_by_the_mass_slows_a_region(kind, tmp_path):
     assert np.abs(found["work"]).max() < 1e-4 * expected[0]
 
 
+def test_strong_damping_stops_a_region_in_explicit_steps(tmp_path):
+    """The stable step of a body without elastic parts is that of the damping."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)
+    velocity = [rotating((1.0, 0.0), 0.5, (0.5, 0.5)), pd.RayleighDamping(mass=100.0)]
+    found = pd.run(flying("explicit", 10, ALL, nodes, velocity, history={"kinetic": pd.KineticEnergy()}), tmp_path)
+    assert found.history["kinetic"][1] < 1e-3 * found.history["kinetic"][0]
+    assert np.all(np.diff(found.history["kinetic"]) <= 0.0)
+
+
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_a_region_that_is_turned_and_pushed(kind, tmp_path):
     """A prescribed rotation about another point than the centre of mass, which moves by the force alone."""
@@ -431,17 +440,44 @@ def test_a_turn_that_a_step_does_not_resolve_is_refused(tmp_path):
     assert np.diff(found["time"]).max() * np.linalg.norm(spin) < 2.0
 
 
-def test_momentum_is_conserved_where_bonds_to_a_rigid_part_break(tmp_path):
-    """Of central differences to round-off: both halves of a kick are the same for particles and region."""
+def torn(records, stop=2.0):
+    """Return a body that is torn off a rigid part of it, until a step time."""
     nodes = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
     region = pd.region.Box((1.2, -1.0), (3.0, 2.0))
     torn = pd.InitialVelocity(pd.region.Box((-1.0, -1.0), (1.2, 2.0)), x=-6.0, y=1.0)
-    history = {"x": Momentum(0), "y": Momentum(1), "broken": pd.BrokenBonds(), "error": pd.EnergyError()}
+    history = {"x": Momentum(0), "y": Momentum(1), "broken": pd.BrokenBonds(), "error": pd.EnergyError(),
+               "stop": Stop(stop)}  # fmt: skip
     material = pd.BondBased(E=1000.0, nu=1.0 / 3.0, plane="stress", density=2.0)
     law = pd.Brittle(pd.ConstantCritical(0.05))
-    case = flying("explicit", 20, region, nodes, [torn], end=0.1, history=history, material=material, damage=law)
-    found = pd.run(case, tmp_path).history
+    return flying("explicit", records, region, nodes, [torn], end=0.1, history=history, material=material, damage=law)
+
+
+def test_momentum_is_conserved_where_bonds_to_a_rigid_part_break(tmp_path):
+    """Of central differences to round-off: both halves of a kick are the same for particles and region."""
+    found = pd.run(torn(20), tmp_path).history
     assert found["broken"][-1] > 10
     for name in "xy":
         np.testing.assert_allclose(found[name], found[name][0], atol=1e-12 * abs(found["x"][0]))
     assert np.abs(found["error"]).max() < 0.01
+
+
+def test_energy_momentum_steps_conserve_the_momentum_of_a_body_with_a_rigid_part(tmp_path):
+    nodes = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25)
+    shakes = pd.InitialVelocity(pd.region.Box((-1.0, -1.0), (0.6, 0.6)), x=1.0, y=2.0)
+    history = {"x": Momentum(0), "y": Momentum(1)}
+    solver = pd.Implicit(dt=0.02, end=0.5, energy_momentum=True)
+    case = flying("implicit", 1, pd.region.Box((0.9, -1.0), (3.0, 2.0)), nodes, [shakes], history=history, solver=solver)
+    found = pd.run(case, tmp_path).history
+    for name in "xy":
+        np.testing.assert_allclose(found[name], found[name][0], rtol=1e-6)
+
+
+def test_a_restart_after_bonds_to_a_rigid_part_broke_changes_nothing(tmp_path):
+    whole = pd.run(torn(40), tmp_path / "whole").history
+    last = 1 + int(np.argmax(np.diff(whole["broken"])))
+    with pytest.raises(pd.Interrupted):
+        pd.run(torn(40, stop=(last + 0.5) / 40), tmp_path / "half")
+    again = pd.run(torn(40), tmp_path / "again", restart=tmp_path / "half").history
+    for name in "xy":
+        np.testing.assert_allclose(again[name], whole[name], rtol=1e-12)
+    assert again["broken"][-1] == whole["broken"][-1]

@@ -84,6 +84,7 @@ class ExplicitSolver(Solver):
         self._rigid = RigidBodies.of(problem)
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
+        self._rigid_damping = largest_of(problem.body.cloud.comm, self._inertia.rate_of_rigid)
         self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
         self._resistance = elastic_tangent(problem) if self._inertia.damping_time > 0.0 else None
 
@@ -263,12 +264,12 @@ class ExplicitSolver(Solver):
 
     def _stable(self, frequency: float) -> float:
         """Return the time step for a largest frequency, with the damping ratio of its mode."""
-        if frequency == 0.0:
-            return self._declared.end
         ratio = 0.5 * self._inertia.damping_time * frequency
         if self._inertia.viscosity is not None:
             ratio += self._inertia.viscosity.ratio
-        return self._declared.safety * 2.0 / frequency * (math.sqrt(1.0 + ratio**2) - ratio)
+        # Dampers on rigid regions take a velocity from the step before.
+        rate = 0.5 * frequency * (math.sqrt(1.0 + ratio**2) + ratio) + self._rigid_damping
+        return self._declared.safety / rate if rate > 0.0 else self._declared.end
 
     def _step(self, u: Float, t: float, dt: float, balance: MotionBalance) -> tuple[Float, int]:
         """Move by one time step to load parameter ``t``; return the unknowns and the number of bonds that broke."""

@@ -166,6 +166,9 @@ class ImplicitSolver(TimeStepSolver):
             state = problem.state(converged.u, converged.t)
             inertia.begin_step(*(found := forces(problem, state)))
             balance.move(state, *found)
+            if self._declared.conserving and self._rigid is not None:
+                # The stress of a step is not that at its end.
+                self._rigid.push(state, found, inertia.damped(inertia.v))
             number += 1
             failures += converged.failures
             broken, sweeps = broken + converged.broken, sweeps + converged.sweeps

@@ -51,9 +51,10 @@ class RigidRegion(RigidMotion, _Support):
     """Move a side or a region as a rigid body, with finite rotations.
 
     Particles are chosen as by ``Clamp``; of a ``Lattice`` also those of any region, which are then held themselves.
-    ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it. With ``force`` or
-    ``moment`` the motion follows from these loads, with ``Newton``, ``Implicit`` or ``Explicit``. In a motion the
-    particles have their mass, and begin with the momentum and angular momentum of ``InitialVelocity``.
+    ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it, in a motion less those
+    of its inertia. With ``force`` or ``moment`` the motion follows from these loads, with ``Newton``, ``Implicit`` or
+    ``Explicit``. In a motion the particles have their mass, and begin with the momentum and angular momentum of
+    ``InitialVelocity``.
 
     Parameters
     ----------
@@ -68,8 +69,8 @@ class RigidRegion(RigidMotion, _Support):
     ------
     CaseError
         In a case: vectors of another dimension, or a rotation without ``about``. In a motion: the layers beyond a side
-        of a ``Lattice``, particles on a line without ``inertia``, or a rotation about another point than the centre of
-        mass, with a force in some directions only.
+        of a ``Lattice``, particles on a line without ``inertia``, a moment with materials of small strain, or a
+        rotation about another point than the centre of mass, with a force in some directions only.
 
     Examples
     --------

@@ -365,6 +365,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
     if case.solver.duration is not None:
         problem.inertia = _inertia(case, problem, materials, applied)
+        _refuse_turning(case, problem, materials)
         problem.inertia.carry([rigid for _, rigid in problem.rigid_bodies])
         problem.terms.append(problem.inertia)
         problem.last_step = None  # time steps start from the velocity
@@ -393,6 +394,19 @@ def _conserving(case: Case, materials: OfParticles) -> OfParticles:
         raise CaseError(f"energy_momentum of Implicit {wrong}. Leave it out.")
     laws = [law if law.linear else EnergyMomentum(law, density=law.density) for law in materials.at_points]
     return replace(materials, materials=laws)
+
+
+def _refuse_turning(case: Case, problem: Problem, materials: OfParticles) -> None:
+    """Raise CaseError if a rigid region turns freely in a motion, and its material resists rotations."""
+    turning = [rigid for _, rigid in problem.rigid_bodies if rigid.rows is not None and rigid.declared.twisted]
+    small = [
+        one.kinematics == "small" if isinstance(one, BondMaterial) else one.small_strain for one in materials.materials
+    ]
+    if turning and any(small):
+        raise CaseError(
+            f"{turning[0].title} has a moment in a motion, and materials of small strain, which resist its rotation. "
+            f"Use a material for large rotations, such as NeoHookean, or leave the moment out."
+        )
 
 
 def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Applied) -> Inertia:

@@ -407,6 +407,18 @@ def test_motions_that_are_not_determined_are_refused(tmp_path):
         pd.run(flying("implicit", 1, ALL, plane, [], given={"mass": 1.0}, solver=pd.Newton()), tmp_path)
 
 
+@pytest.mark.parametrize(
+    "material",
+    [pd.LinearElastic(1000.0, 0.3, density=2.0), pd.BondBased(E=1000.0, nu=1.0 / 3.0, plane="stress", density=2.0)],
+)
+def test_regions_that_turn_in_a_motion_need_a_material_for_large_rotations(material):
+    """The strain of a rotation would brake the region by its own stiffness."""
+    nodes = pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.25)
+    with pytest.raises(pd.CaseError, match="has a moment in a motion, and materials of small strain"):
+        pd.prepare(flying("explicit", 1, ALL, nodes, [], material=material))
+    pd.prepare(flying("explicit", 1, ALL, nodes, [], given={"moment": ()}, material=material))
+
+
 def test_a_body_that_is_one_loaded_region_has_no_equilibrium(tmp_path):
     nodes = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)
     with pytest.raises(pd.SolveError, match="nothing holds the region of RigidRegion condition 1 against its load"):
@@ -447,7 +459,7 @@ def torn(records, stop=2.0):
     torn = pd.InitialVelocity(pd.region.Box((-1.0, -1.0), (1.2, 2.0)), x=-6.0, y=1.0)
     history = {"x": Momentum(0), "y": Momentum(1), "broken": pd.BrokenBonds(), "error": pd.EnergyError(),
                "stop": Stop(stop)}  # fmt: skip
-    material = pd.BondBased(E=1000.0, nu=1.0 / 3.0, plane="stress", density=2.0)
+    material = pd.BondBased(E=1000.0, nu=1.0 / 3.0, plane="stress", kinematics="finite", density=2.0)
     law = pd.Brittle(pd.ConstantCritical(0.05))
     return flying("explicit", records, region, nodes, [torn], end=0.1, history=history, material=material, damage=law)
 
@@ -466,7 +478,8 @@ def test_energy_momentum_steps_conserve_the_momentum_of_a_body_with_a_rigid_part
     shakes = pd.InitialVelocity(pd.region.Box((-1.0, -1.0), (0.6, 0.6)), x=1.0, y=2.0)
     history = {"x": Momentum(0), "y": Momentum(1)}
     solver = pd.Implicit(dt=0.02, end=0.5, energy_momentum=True)
-    case = flying("implicit", 1, pd.region.Box((0.9, -1.0), (3.0, 2.0)), nodes, [shakes], history=history, solver=solver)
+    part = pd.region.Box((0.9, -1.0), (3.0, 2.0))
+    case = flying("implicit", 1, part, nodes, [shakes], history=history, solver=solver)
     found = pd.run(case, tmp_path).history
     for name in "xy":
         np.testing.assert_allclose(found[name], found[name][0], rtol=1e-6)

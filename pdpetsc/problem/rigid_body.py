@@ -423,10 +423,29 @@ class RigidBody:
         assert self.inertia is not None
         return self.inertia
 
-    @property
-    def work(self) -> float:
-        """Return the work of the load and of the forces of the body in the last step [energy] (not collective)."""
-        return -0.5 * float((self._rates[FORCE] + self._ended_rates[FORCE]) @ self._way)
+    def work(self, forces: Float, moved: Float) -> float:
+        """Return the work of the load and of the forces of the body in the last step on this rank [energy].
+
+        It is that of mean forces on the way of the point where each acts; of tools on the rotation vector of the step,
+        on the first rank (not collective).
+
+        Parameters
+        ----------
+        forces : (n_owned, dim) float64
+            Mean forces on the particles, less damping [force].
+        moved : (n_owned, dim) float64
+            Their displacements in the step [length].
+        """
+        of_particles, first = 0.0, self._comm.rank == 0
+        mean = -0.5 * (self._rates[FORCE] + self._ended_rates[FORCE])
+        if self.rows is not None and self.declared.twisted:
+            rows = self.rows[: len(forces)]
+            of_particles = float((forces[rows] * (moved[rows] - self._d[1] + self._d[0])).sum())
+            loads = [self._in_space(self.declared.load(t, self._dim)) for t in self._span]
+            load, way = 0.5 * (loads[0] + loads[1]), (self._R[1] - self._R[0]) @ self._arm
+            mean[3:] = load[3:]
+            of_particles += float(load[:3] @ way) if first else 0.0
+        return of_particles + (float(mean @ self._way) if first else 0.0)
 
     def kinetic(self, dt: float = 0.0) -> float:
         """Return the kinetic energy of the free components [energy] (not collective).

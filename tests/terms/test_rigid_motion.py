@@ -284,6 +284,21 @@ def test_a_region_swings_as_a_pendulum(kind, scene, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
+def test_the_energy_of_a_swing_is_judged_with_the_work_of_the_weight_on_its_way(kind, tmp_path):
+    """The work is exact for steps of any length, the energy is not, and steps that are too long end the run."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (2.0, 0.5), 0.25)
+    weight = pd.BodyForce(ALL, y=-2.0 * 9.81, schedule=pd.Hold())
+    given = {"about": (0.0, 0.25), "force": ()}
+    history = {"y": pd.Mean(pd.displacement, "y"), "work": pd.ExternalWork(), "error": pd.EnergyError()}
+    case = flying(kind, 8, ALL, nodes, [weight], end=1.5, given=given, history=history)
+    found = pd.run(case, tmp_path / "8").history
+    np.testing.assert_allclose(found["work"], -2.0 * 9.81 * found["y"], rtol=1e-6, atol=1e-9)
+    assert np.abs(found["error"]).max() > 1e-3
+    with pytest.raises(pd.SolveError, match="the energy does not balance"):
+        pd.run(flying(kind, 4, ALL, nodes, [weight], end=1.5, given=given), tmp_path / "4")
+
+
+@pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_damping_by_the_mass_slows_a_region(kind, tmp_path):
     nodes = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)
     velocity = [rotating((1.0, 0.0), 0.5, (0.5, 0.5)), pd.RayleighDamping(mass=1.0)]

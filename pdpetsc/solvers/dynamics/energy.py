@@ -86,7 +86,7 @@ class MotionBalance:
         self._at_start, self._damped = resume.get(START, 0.0), resume.get(DAMPED, 0.0)
         self._largest, self._work = resume.get(LARGEST, 0.0), resume.get(WORK, 0.0)
         self.step_work, self.amplified, self._given = 0.0, 0.0, resume.get(GIVEN, 0.0)
-        self._u = self._force = self._resisted = self._given_by = np.zeros(0)
+        self._u = self._force = self._resisted = self._given_by = self._on_particles = np.zeros(0)
         self._tools: list[Float] = []
         self._state: State | None = None
 
@@ -106,6 +106,7 @@ class MotionBalance:
         self._tools = self._problem.tool_forces(state)
         self._state = state if self._tools else None
         self._resisted = self._inertia.damped(self._inertia.v)
+        self._on_particles = (external - internal)[: len(self._resisted)]
         if not self._begun:
             stored, moving, touching = self._held(state, dt)
             self._rigid_at_start = self._rigid_largest = self._rigid_kinetic(dt)
@@ -129,14 +130,17 @@ class MotionBalance:
         damped = 0.5 * ((resisted + self._resisted) * moved[: len(resisted)])
         free = ~self._problem.supports.fixed[: len(resisted)]
         lost, of_regions = float(damped[free].sum()), float(damped[~free].sum())
-        work, lost, outer, of_regions = total(self._problem.body.cloud.comm, [work, lost, outer, of_regions]).tolist()
-        on_rigid = sum(rigid.work for rigid in self._inertia.bodies)
+        on_particles = (external - internal)[: len(resisted)]
+        mean = 0.5 * (on_particles + self._on_particles - resisted - self._resisted)
+        on_rigid = sum(rigid.work(mean, moved[: len(mean)]) for rigid in self._inertia.bodies)
+        sums = [work, lost, outer, of_regions, on_rigid]
+        work, lost, outer, of_regions, on_rigid = total(self._problem.body.cloud.comm, sums).tolist()
         self._rigid_work += on_rigid
         self.step_work += on_rigid + of_regions
         self._work += work
         self.step_work += outer
         self._created += work - outer
-        self._given_by, self._tools = given_by, tools
+        self._given_by, self._tools, self._on_particles = given_by, tools, on_particles
         self._state = state if tools else None
         self._damped += lost
         self._u, self._force, self._resisted = state.u, force, resisted
@@ -154,6 +158,7 @@ class MotionBalance:
         self._lost += released
         self._rigid_work += pushed
         self._given_by, self._force = self._acting(state, internal, external)
+        self._on_particles = (external - internal)[: len(self._on_particles)]
 
     def record(self, state: State, dt: float = 0.0) -> float:
         """Return the error of the balance over the largest energy so far [-], positive if energy was gained.

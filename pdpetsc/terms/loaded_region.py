@@ -34,6 +34,10 @@ class LoadedRegion(Term):
         """Return an empty list: the term has no forces."""
         return []
 
+    def energy(self, state: State) -> float:
+        """Return 0: the term has no forces."""
+        return 0.0
+
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the motion at the last converged step."""
         return {"rigid": KeptArray(self._owner, self._rigid.kept)}

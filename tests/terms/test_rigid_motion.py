@@ -299,6 +299,26 @@ def test_the_energy_of_a_swing_is_judged_with_the_work_of_the_weight_on_its_way(
 
 
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
+def test_energy_that_a_contact_gives_a_rigid_region_is_judged(kind, tmp_path):
+    """A ball bounces off a block that is one region: velocities of an elastic impact, and what the steps create."""
+    ball = pd.RigidSphere((0.5, 1.52), 0.5, force=(None, 0.0), mass=1.0, velocity=(0.0, -1.0))
+    conditions = [pd.RigidRegion(ALL, force=(0.0, 0.0)), pd.Contact("+y", ball, name="tool", penetration=0.05)]
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.25),
+        material=pd.NeoHookean(1000.0, 0.3, density=2.0),
+        conditions=conditions,
+        solver=solver_of(kind, 0.2, 100),
+        history={"y": Momentum(1), "kinetic": pd.KineticEnergy(), "error": pd.EnergyError()},
+    )
+    found = pd.run(case, tmp_path).history
+    assert found["tool_velocity_y"][-1] == pytest.approx(1.0 / 3.0, rel=0.02)
+    assert found["y"][-1] == pytest.approx(-4.0 / 3.0, rel=0.02)
+    gained = found["kinetic"][-1] / found["kinetic"][0] - 1.0
+    assert gained > 1e-4
+    assert found["error"][-1] == pytest.approx(gained, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_damping_by_the_mass_slows_a_region(kind, tmp_path):
     nodes = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)
     velocity = [rotating((1.0, 0.0), 0.5, (0.5, 0.5)), pd.RayleighDamping(mass=1.0)]

@@ -176,9 +176,11 @@ class MotionBalance:
         least = ROUND_OFF * largest
         self.amplified = (abs(stored) + abs(moving)) / self._given if self._given > least else 0.0
         off = stored + moving + lost + self._damped - self._at_start - self._work
-        if self._judges_contact:
-            off += max(self._created + touching, 0.0)
         gained, size = rigid - self._rigid_at_start - self._rigid_work, max(self._largest, least)
+        if self._judges_contact:  # regions that tools touch may have all the energy
+            regions = any(one.rows is not None for one in self._inertia.bodies)
+            of_contact = max(self._created + touching, 0.0)
+            off += of_contact * (size / max(size, largest) if regions and largest > 0.0 else 1.0)
         heavy = max(largest, LIGHT * self._largest)
         of_rigid, of_body = gained / heavy if heavy > 0.0 else 0.0, off / size if size > 0.0 else 0.0
         return max(of_rigid, of_body if self.known else 0.0, key=abs)

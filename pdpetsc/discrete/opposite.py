@@ -65,6 +65,6 @@ class OppositeBonds:
 
     def of_vectors(self, values: Float) -> Float:
         """Return ``of`` vectors (n_bonds, dim), mirrored if the other end is behind a mirror plane."""
-        found = self.of(values)
+        found = self.of(np.asarray(values, dtype=float))
         found[self._mirrored] *= self._sign
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import cached_property
 
@@ -212,7 +213,10 @@ class NonUniform(Control):
         """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds."""
         of_intact, lost = self._new_stiffness, np.flatnonzero(phi != 1.0)
         if not len(lost):
-            return self
+            # Another control as on ranks that have lost bonds, because its matrix is computed by all ranks together.
+            intact = copy.copy(self)
+            intact._filled = intact._shared = None
+            return intact
         factor = phi[lost]
 
         def stiffness() -> Float:

@@ -150,7 +150,7 @@ class LatticeBonds(BondForces):
     def energy_density(self, state: State) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
         own, cloud = self._lattice.irregular, self.body.cloud
-        density = np.empty(cloud.n_owned)
+        density = np.zeros(cloud.n_owned)
         self._of_rows(state, rows_bond_energy_kernel(self.body.dim, int(self.finite)), density)
         density /= cloud.volume[: cloud.n_owned]
         density[own.local[: own.n]] = self._irregular.energy_density(self.irregular_state(state))[: own.n]
@@ -159,7 +159,7 @@ class LatticeBonds(BondForces):
     def first_piola_stress(self, state: State) -> Float:
         """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]."""
         own, cloud, dim = self._lattice.irregular, self.body.cloud, self.body.dim
-        P = np.empty((cloud.n_owned, dim, dim))
+        P = np.zeros((cloud.n_owned, dim, dim))
         self._of_rows(state, rows_bond_moments_kernel(dim, int(self.finite)), P)
         P /= cloud.volume[: cloud.n_owned, None, None]
         P[own.local[: own.n]] = self._irregular.first_piola_stress(self.irregular_state(state))[: own.n]

@@ -134,6 +134,25 @@ def gradient_kernel(dim: int) -> Callable[..., Any]:
     return gradient
 
 
+@compiled
+def add_point_forces(p, point_ptr, members, g, s, stiffness, u, f, dim, controlled):
+    """Add ``s g_pk`` to the members of a point, if ``controlled`` with ``stiffness_pk eta_pk``, less the sum to i."""
+    first = point_ptr[p]
+    i = members[first]
+    own_0, own_1, own_2 = 0.0, 0.0, 0.0
+    for t in range(first + 1, point_ptr[p + 1]):
+        k = members[t]
+        g_0, g_1, g_2 = row(g, t, dim)
+        f_0, f_1, f_2 = applied(s, g_0, g_1, g_2, dim)
+        if controlled:
+            c = stiffness[t - p - 1]
+            eta_0, eta_1, eta_2 = difference(i, k, u, dim)
+            f_0, f_1, f_2 = f_0 + c * eta_0, f_1 + c * eta_1, f_2 + c * eta_2
+        add_to(f, k, f_0, f_1, f_2, dim)
+        own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
+    add_to(f, i, own_0, own_1, own_2, dim)
+
+
 @lru_cache
 def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """Return ``divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u)``: ``f_k += sum_p W_p P_p g_pk``.
@@ -146,26 +165,13 @@ def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     def divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u):
         s = np.empty((dim, dim))
         for p in range(point_ptr.size - 1):
-            first = point_ptr[p]
-            i = members[first]
             for m in range(dim):
                 for n in range(dim):
                     s[m, n] = volume[p] * P[p, m, n]
                     if controlled:
                         for o in range(dim):
                             s[m, n] -= H[p, m, o] * K[p, o, n]
-            own_0, own_1, own_2 = 0.0, 0.0, 0.0
-            for t in range(first + 1, point_ptr[p + 1]):
-                k = members[t]
-                g_0, g_1, g_2 = row(g, t, dim)
-                f_0, f_1, f_2 = applied(s, g_0, g_1, g_2, dim)
-                if controlled:
-                    c = stiffness[t - p - 1]
-                    eta_0, eta_1, eta_2 = difference(i, k, u, dim)
-                    f_0, f_1, f_2 = f_0 + c * eta_0, f_1 + c * eta_1, f_2 + c * eta_2
-                add_to(f, k, f_0, f_1, f_2, dim)
-                own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
-            add_to(f, i, own_0, own_1, own_2, dim)
+            add_point_forces(p, point_ptr, members, g, s, stiffness, u, f, dim, controlled)
 
     return divergence
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from pdpetsc.kernels.bonds import direction
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.components import add_to, applied, difference, row
+from pdpetsc.kernels.components import add_to, difference
+from pdpetsc.kernels.gradient import add_point_forces
 
 # Empty stiffness and shape tensors for ``gradient_times_kernel`` without control.
 NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
@@ -53,18 +54,7 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
                             for n in range(dim):
                                 value -= gradient[a, n] * K[p, n, b]
                         stress[a, b] = value
-                own_0, own_1, own_2 = 0.0, 0.0, 0.0
-                for t in range(first + 1, point_ptr[p + 1]):
-                    k = members[t]
-                    h_0, h_1, h_2 = row(h, t, dim)
-                    f_0, f_1, f_2 = applied(stress, h_0, h_1, h_2, dim)
-                    if controlled:
-                        s = stiffness[t - p - 1]
-                        eta_0, eta_1, eta_2 = difference(i, k, u, dim)
-                        f_0, f_1, f_2 = f_0 + s * eta_0, f_1 + s * eta_1, f_2 + s * eta_2
-                    add_to(f, k, f_0, f_1, f_2, dim)
-                    own_0, own_1, own_2 = own_0 - f_0, own_1 - f_1, own_2 - f_2
-                add_to(f, i, own_0, own_1, own_2, dim)
+                add_point_forces(p, point_ptr, members, h, stress, stiffness, u, f, dim, controlled)
 
     return times
 

@@ -156,7 +156,7 @@ def test_a_control_of_damaged_bonds_has_the_stiffness_that_is_left():
     phi[lone], phi[flat] = 0.0, np.abs(xi[flat, 1]) < 1e-9
     s = control.bond_stiffness * phi
     damaged = control.damaged(phi)
-    assert control.damaged(np.ones(len(phi))) is control
+    assert np.array_equal(control.damaged(np.ones(len(phi))).bond_stiffness, control.bond_stiffness)
     assert np.allclose(damaged.bond_stiffness, s, rtol=1e-15, atol=0.0)
     K = np.zeros((n, 2, 2))
     np.add.at(K, families.centres, s[:, None, None] * xi[:, :, None] * xi[:, None, :])

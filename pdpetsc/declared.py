@@ -100,7 +100,7 @@ def shown(value: object) -> str:
 
 
 def meant(word: str, known: Iterable[str], sentence: str) -> str:
-    """Return a sentence with the known word that is most similar to a given one; empty if none is similar."""
+    """Return a sentence with the known word most similar to a given one, or an empty string."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return sentence.format(near[0]) if near else ""
 
@@ -295,7 +295,7 @@ def words_of(hint: Any, several: bool = False) -> str:
 
 
 def _advice(value: object, hint: Any) -> str:
-    """Return advice on a wrong value; empty if there is none."""
+    """Return advice on a wrong value, or an empty string."""
     if isinstance(value, type):
         return f"; write {value.__name__}(...) for an object of it"
     for choice in get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,):

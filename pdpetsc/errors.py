@@ -229,7 +229,7 @@ def of_petsc(error: BaseException | None) -> bool:
 
 
 def users_line(error: BaseException) -> str:
-    """Return file and line of the innermost frame outside pdpetsc and installed packages; empty if there is none."""
+    """Return file and line of the innermost frame outside pdpetsc and installed packages, or an empty string."""
     paths = sysconfig.get_paths()
     installed = [str(Path(paths[name]).resolve()) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
     for frame in reversed(traceback.extract_tb(error.__traceback__)):

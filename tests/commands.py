@@ -10,6 +10,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
 import pdpetsc as pd
 from tests.ranks import asked, run_case
@@ -107,6 +108,31 @@ class Stop(pd.Quantity):
         if getattr(solution, self.of) > self.after:
             raise pd.Interrupted("enough")
         return 0.0
+
+
+# Begins the text of a case file whose ``history`` has a ``Stopping()``, which ``stopped_and_continued`` uses.
+STOPPING = """
+import pdpetsc as pd
+
+class Stopping(pd.Quantity):
+    at = 2.0
+
+    def evaluate(self, solution):
+        if solution.t > Stopping.at:
+            raise pd.SolveError("It stops here.")
+        return 0.0
+"""
+
+
+def stopped_and_continued(text, *arguments, output):
+    """Return the result of a case file with ``STOPPING`` that fails beyond step time 0.6 and is restarted."""
+    space = {}
+    exec(text, space)
+    space["Stopping"].at = 0.6
+    with pytest.raises(pd.SolveError):
+        pd.run(space["case"](*arguments), output / "half")
+    space["Stopping"].at = 2.0
+    return pd.run(space["case"](*arguments), output / "again", restart=output / "half")
 
 
 def summary(output):

@@ -125,7 +125,7 @@ class RigidMotion(Declared):
                 )
 
     def _check_inertia(self, dim: int) -> None:
-        """Raise CaseError if there are no bodies with the moments of inertia."""
+        """Raise CaseError if no body has the declared moments of inertia."""
         title, given = type(self).__name__, np.asarray(self.inertia).shape
         if given not in ((), (3,), (3, 3)) or (dim != 3 and given != ()):
             needed = "three numbers or a matrix (3, 3)" if dim == 3 else "a number"

@@ -16,7 +16,7 @@ from pdpetsc.gradient.base import (
     flat,
     operator,
     refuse_flat,
-    whole_families,
+    shape_tensors,
     with_centres,
 )
 
@@ -48,9 +48,9 @@ def sector_operator(
     weight = omega * cloud.volume[families.neighbours]
     empty = np.empty((cloud.n_owned, share.shape[1]), dtype=bool)
     for a in range(share.shape[1]):
-        empty[:, a] = flat(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x), THIN)
+        empty[:, a] = flat(shape_tensors(families, weight * share[:, a], cloud.x), THIN)
     lost = empty.all(axis=1)
-    singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
+    singular = lost & flat(shape_tensors(families, weight, cloud.x))
     refuse_flat(cloud, np.flatnonzero(singular), name)
     centres = families.centres
     merging = _merging(empty, distance)

@@ -22,7 +22,7 @@ class CrackLines(Observer):
         self._quantities = quantities
 
     def end(self) -> None:
-        """Write the file; raises OutputError on all ranks if that fails."""
+        """Write the file. Raise OutputError on all ranks if that fails."""
         last, comm = self.observed.last, self.observed.comm
         for quantity in self._quantities:
             drawn = quantity.drawn(last)

@@ -71,7 +71,7 @@ class Labels:
         return f"{value:.4g} {self._unit('length')}".strip()
 
     def first_of(self, dimension: str) -> str | None:
-        """Return the first column with a dimension; None if there is none."""
+        """Return the first column with a dimension, or None."""
         return next((name for name, kind in self.history.items() if kind == dimension), None)
 
     def _kind(self, name: str) -> str:

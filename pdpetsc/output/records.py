@@ -64,7 +64,7 @@ class Table:
                 self._flush()
 
     def read(self) -> tuple[str, bytes]:
-        """Return name and content of the file (not collective); raises OutputError if it cannot be read."""
+        """Return name and content of the file (not collective). Raise OutputError if it cannot be read."""
         try:
             return self.path.stem, self.path.read_bytes()
         except OSError as error:

@@ -135,7 +135,7 @@ class Interface:
         matrix.destroy()
 
     def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with ``D + S``, or with D if there are no stiff products."""
+        """Solve with ``D + S``, without stiff products with D."""
         values = x.array_r.reshape(-1, self._dim)
         found = np.einsum("pij,pj->pi", self._inverse, values)
         if self._pc is not None:

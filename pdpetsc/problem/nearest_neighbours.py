@@ -9,7 +9,7 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import build_sparsity
-from pdpetsc.gradient.base import GradientOperator, Moduli, flat, stencil_weights, whole_families
+from pdpetsc.gradient.base import GradientOperator, Moduli, flat, shape_tensors, stencil_weights, whole_families
 from pdpetsc.gradient.products import Entries, PointBlocks, PointProduct, Product
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
 from pdpetsc.problem.assembly import Assembler
@@ -101,7 +101,7 @@ def near_families(problem: Problem) -> Families:
     whole = np.diff(families.chosen(kept).indptr)
     for _ in range(WIDENINGS):
         near = _within(problem, kept, reach)
-        thin = flat(whole_families(cloud, near, cloud.volume[near.neighbours]).shape_tensors(cloud.x), THIN)
+        thin = flat(shape_tensors(near, cloud.volume[near.neighbours], cloud.x), THIN)
         thin &= np.diff(near.indptr) < whole
         if int(total(cloud.comm, np.count_nonzero(thin))) == 0:
             break

@@ -150,7 +150,7 @@ class BondForces(MaterialTerm):
         self._is_nonlocal = damage.driving_variable.is_nonlocal
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
-    # There are no gradient points.
+    # Bonds need no gradient points.
     n_points = 0
 
     @property

@@ -61,9 +61,7 @@ class Sticking(pd.Quantity):
 def cylinder(n, side):
     """Return the nodes of half a cylinder above (side 1) or below (-1) the origin."""
     points, cells = refined.mirrored(*refined.corner(n, CORE, 2.0 * RADIUS, 2))
-    points = refined.ball(points, RADIUS)
-    outer = np.abs(np.linalg.norm(points - (0.0, RADIUS), axis=1) - RADIUS) < 1e-9 * RADIUS
-    return refined.cloud(points * (1.0, side), cells, outer)
+    return refined.disc(refined.ball(points, RADIUS) * (1.0, side), cells, side * RADIUS)
 
 
 def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45, bodies=1):

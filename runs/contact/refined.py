@@ -100,9 +100,12 @@ def ball(points, radius):
 
 
 def disc(points, cells, radius):
-    """Return particles at the nodes of a disc or ball above the origin; its surface has the tag ``contact``."""
-    middle = radius * np.eye(points.shape[1])[-1]
-    return cloud(points, cells, np.abs(np.linalg.norm(points - middle, axis=1) - radius) < 1e-9 * radius)
+    """Return particles at the nodes of a disc or ball; its surface has the tag ``contact``.
+
+    It lies above the origin, for a negative radius below it.
+    """
+    beyond = np.linalg.norm(points - radius * np.eye(points.shape[1])[-1], axis=1) - abs(radius)
+    return cloud(points, cells, np.abs(beyond) < 1e-9 * abs(radius))
 
 
 def cloud(points, cells, touches):

@@ -8,7 +8,7 @@ import scipy
 
 import pdpetsc as pd
 from pdpetsc.solvers.rigid_bodies import RigidBodies
-from tests.commands import results
+from tests.commands import STOPPING, results, stopped_and_continued
 
 E = 1000.0
 DISC = (1.0, 3.0)
@@ -436,9 +436,9 @@ def test_a_mass_that_hits_a_bar_is_stopped_by_its_wave(solver, tmp_path):
     assert np.abs(found["error"]).max() < 0.01
 
 
-MOVING = """
-import pdpetsc as pd
-
+MOVING = (
+    STOPPING
+    + """
 def case(solver="explicit"):
     disc = pd.RigidSphere(
         (1.0, 3.02), 2.0, force=(0.5, -1.0), moment=2.0, about=(1.0, 3.02), mass=3.0, inertia=4.0, velocity=(0.2, -0.8)
@@ -452,15 +452,8 @@ def case(solver="explicit"):
         history={"stop": Stopping()},
         results=lambda h: {name: h[f"tool_{name}"][-1] for name in ("velocity_x", "velocity_y", "spin", "turn")},
     )
-
-class Stopping(pd.Quantity):
-    at = 2.0
-
-    def evaluate(self, solution):
-        if solution.t > Stopping.at:
-            raise pd.SolveError("It stops here.")
-        return 0.0
 """
+)
 
 
 @pytest.mark.parametrize("solver", ["explicit", "implicit"])
@@ -472,11 +465,5 @@ def test_a_striker_is_the_same_on_ranks_and_after_a_restart(solver, tmp_path):
     assert abs(one["spin"]) > 0.01
     two = results(path, f"solver={solver}", ranks=2, output=tmp_path / "two")["results"]
     assert two == pytest.approx(one, rel=1e-6)
-    space = {}
-    exec(MOVING, space)
-    space["Stopping"].at = 0.6
-    with pytest.raises(pd.SolveError):
-        pd.run(space["case"](solver), tmp_path / "half")
-    space["Stopping"].at = 2.0
-    again = pd.run(space["case"](solver), tmp_path / "again", restart=tmp_path / "half")
+    again = stopped_and_continued(MOVING, solver, output=tmp_path)
     assert {name: again[name] for name in one} == pytest.approx(one, rel=1e-12)

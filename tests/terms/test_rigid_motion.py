@@ -6,7 +6,7 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 import pdpetsc as pd
-from tests.commands import Stop, results
+from tests.commands import STOPPING, Stop, results, stopped_and_continued
 
 ALL = pd.region.All()
 # Principal moments of inertia and initial angular velocity of a body that tumbles.
@@ -359,9 +359,9 @@ def test_a_region_that_is_turned_and_pushed(kind, tmp_path):
     np.testing.assert_allclose(found["kinetic"][1:], expected[1:], rtol=1e-5)
 
 
-MOVING = """
-import pdpetsc as pd
-
+MOVING = (
+    STOPPING
+    + """
 def case(solver="explicit", unit=1.0, modulus=1000.0):
     end = 0.3 * unit / modulus**0.5 * 1000.0**0.5
     rate = unit / end * 0.3
@@ -393,15 +393,8 @@ def case(solver="explicit", unit=1.0, modulus=1000.0):
             "spin": h["tool_spin_x"][-1] * end, "velocity": h["tool_velocity_y"][-1] * end / unit,
         },
     )
-
-class Stopping(pd.Quantity):
-    at = 2.0
-
-    def evaluate(self, solution):
-        if solution.t > Stopping.at:
-            raise pd.SolveError("It stops here.")
-        return 0.0
 """
+)
 
 
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
@@ -416,13 +409,7 @@ def test_ranks_units_and_restarts_change_nothing(kind, tmp_path):
     for name, (words, ranks) in runs.items():
         other = results(path, f"solver={kind}", *words, ranks=ranks, output=tmp_path / name)["results"]
         assert other == pytest.approx(one, rel=1e-5, abs=1e-8)
-    space = {}
-    exec(MOVING, space)
-    space["Stopping"].at = 0.6
-    with pytest.raises(pd.SolveError):
-        pd.run(space["case"](kind), tmp_path / "half")
-    space["Stopping"].at = 2.0
-    again = pd.run(space["case"](kind), tmp_path / "again", restart=tmp_path / "half")
+    again = stopped_and_continued(MOVING, kind, output=tmp_path)
     assert {name: again[name] for name in one} == pytest.approx(one, rel=1e-11, abs=1e-13)
 
 

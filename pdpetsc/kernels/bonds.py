@@ -16,6 +16,9 @@ from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.components import add_to, difference
 from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
+# Least distance of two particles, against division by zero.
+TINY = 1e-300
+
 
 @compiled
 def direction(i, j, x, u, dim, finite):
@@ -167,3 +170,27 @@ def first_of_tied(e, rate, limit, able, step, tolerance, order):
         if tied and (first < 0 or order[b] < order[first]):
             first = b
     return first
+
+
+@compiled
+def change_of_lengths(near, x, u, length, dim, both, begin):
+    """Return the largest relative decrease, and increase if ``both``, of distances since ``length`` (n, m) was written.
+
+    ``near`` (n, m) are the particles around each particle. If ``begin``, the distances are written.
+    """
+    most = 0.0
+    for i in range(near.shape[0]):
+        for k in range(near.shape[1]):
+            j, square = near[i, k], 0.0
+            if j == i:
+                continue
+            for m in range(dim):
+                square += (x[j, m] + u[j, m] - x[i, m] - u[i, m]) ** 2
+            now = max(np.sqrt(square), TINY)
+            change = length[i, k] / now - 1.0
+            if both:
+                change = max(change, now / length[i, k] - 1.0)
+            most = max(most, change)
+            if begin:
+                length[i, k] = now
+    return most

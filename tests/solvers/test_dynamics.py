@@ -453,6 +453,50 @@ def test_a_step_beyond_the_stable_one_is_found_out(tmp_path, monkeypatch):
         pd.run(bar(pd.Explicit(end=30 * PERIOD)), tmp_path)
 
 
+def pressed(end=5.0, stopped=None, **changes):
+    """Return a bar at rest that is pressed to half its length within a fifth of the motion, after half of it."""
+    conditions = [
+        pd.Displacement("-x", x=0.0),
+        pd.Displacement("+x", x=lambda x, t: -0.5 * LENGTH * np.clip((t - 0.5) / 0.2, 0.0, 1.0)),
+        pd.RayleighDamping(mass=2.0 / end),
+    ]
+    law = pd.Hencky(E=E, nu=0.0, density=RHO)
+    case = bar(pd.Explicit(end=end, records=20), n=40, law=law, conditions=conditions, **changes)
+    return (
+        case if stopped is None else dataclasses.replace(case, history={**case.history, "stop": Stop(stopped, "step")})
+    )
+
+
+def test_the_time_step_follows_a_body_that_is_pressed_after_a_long_rest(tmp_path):
+    """With the logarithmic strain the frequency at half the length is 2.6 times that of the straight bar."""
+    records = pd.run(pressed(), tmp_path).summary["steps"]
+    assert records[-1]["time step_iterations"] > 2.5 * records[0]["time step_iterations"]
+
+
+def test_what_the_time_step_follows_goes_on_after_a_restart(tmp_path):
+    case = pressed(checkpoints=1)
+    whole = pd.run(case, tmp_path / "whole")
+    with pytest.raises(pd.Interrupted):
+        pd.run(pressed(checkpoints=1, stopped=13), tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
+    assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
+
+
+def test_rotation_is_no_deformation():
+    lattice, law = pd.Lattice((0.0, 0.0), (1.0, 0.5), 0.125), pd.LinearElastic(E=E, nu=0.2, density=RHO)
+    prepared = pd.prepare(bar(pd.Explicit(end=1.0), particles=lattice, law=law))
+    body, n = prepared.problem.body, prepared.cloud.n_owned
+    measure = stable_step.Deformation(body, both=True)
+
+    def since(G, begin=False):
+        return measure.since(prepared.problem.state(prepared.cloud.x[:n] @ (np.asarray(G) - np.eye(2)).T, 0.0), begin)
+
+    since(np.eye(2), begin=True)
+    assert since([[0.6, 0.8], [-0.8, 0.6]]) < 1e-12
+    assert since([[1.0, 0.0], [0.0, 0.8]], begin=True) == pytest.approx(0.25)
+    assert since([[1.0, 0.0], [0.0, 1.0]]) == pytest.approx(0.25)
+
+
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
     n = {1: 20, 2: 6, 3: 4}[dim]

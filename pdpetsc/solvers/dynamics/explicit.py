@@ -26,7 +26,7 @@ from pdpetsc.solvers.dynamics.motion import (
     printed,
     resume_motion,
 )
-from pdpetsc.solvers.dynamics.stable_step import largest_frequency
+from pdpetsc.solvers.dynamics.stable_step import Deformation, largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.solvers.relaxation import RelaxationSolver
 from pdpetsc.solvers.rigid_bodies import RigidBodies
@@ -43,8 +43,12 @@ SOFTEST = 1e-12
 FIRST = 1e-3
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
-# The number of time steps between estimates is halved if the frequency grows more, and multiplied if it grows less.
-GROWS, RESTS, LENGTHENED = 0.02, 0.005, 4
+# The number of time steps between estimates is halved if the frequency grows by more than this part of what the safety
+# allows, and multiplied if it grows less.
+GROWS, RESTS, LENGTHENED = 0.25, 0.125, 4
+# Time steps between checks of the deformation, and the part of what the safety allows at which the frequency is
+# estimated.
+CHECKED_SHAPE, DEFORMS = 4, 0.5
 # Relative difference of two masses of the same body.
 SAME_MASS = 1e-6
 # Names in a checkpoint: the added mass [-], and the damping ratio of the viscosity of shocks [-].
@@ -52,6 +56,8 @@ ADDED, RATIO = "added_mass", "viscous_ratio"
 # Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
 # estimates of the frequency, and until the next one.
 FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "time_steps", "interval", "due"
+# Name in a checkpoint: the deformation since the last estimate, a sum over records [-].
+DEFORMED = "deformed"
 
 
 class ExplicitSolver(Solver):
@@ -131,6 +137,12 @@ class ExplicitSolver(Solver):
         least = resume.get(ELASTIC, largest)
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
+        # The growth of the largest frequency that the safety allows.
+        allowed = 1.0 / declared.safety - 1.0
+        deformation = Deformation(problem.body, problem.damage is None) if self._changes else None
+        deformed = resume.get(DEFORMED, 0.0)
+        if deformation is not None:
+            deformation.since(state, begin=True)
         dt = self._stable(largest)
         pattern = problem.pattern
         # Bonds fail at the end of a step, not within it.
@@ -163,24 +175,32 @@ class ExplicitSolver(Solver):
                     )
                 if inertia.viscosity is not None and number < count and self._stable(largest) < size:
                     base, number, count = at, 0, self._count(target - at, self._stable(largest))
+                if deformation is not None and self._steps % CHECKED_SHAPE == 0:
+                    change = deformation.since(problem.state(u, at), begin=False)
+                    due = self._steps if deformed + change > DEFORMS * allowed else due
                 if self._steps >= due:
                     now = max(self._frequency(u, at), least)
                     growth = now / largest - 1.0 if largest > 0.0 else now
-                    if growth > GROWS:
+                    if growth > GROWS * allowed:
                         interval = max(LEAST, interval // 2)
-                    elif growth < RESTS:
+                    elif growth < RESTS * allowed:
                         interval = min(MOST_STEPS, LENGTHENED * interval)
+                    if deformation is not None:
+                        deformation.since(problem.state(u, at), begin=True)
+                        deformed = 0.0
                     due = self._steps + interval
                     if now != largest and number < count:
                         base, number, count = at, 0, self._count(target - at, self._stable(now))
                     largest, dt = now, self._stable(now)
             problem.freeze(False)
             work, state = balance.step_work, problem.state(u, target)
+            # A run that goes on from here knows the deformation since the estimate as a number.
+            deformed += 0.0 if deformation is None else deformation.since(state, begin=True)
             inertia.error = balance.record(state, size)
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
-            numbers[ADDED] = inertia.added
+            numbers |= {ADDED: inertia.added, DEFORMED: deformed}
             if inertia.viscosity is not None:
                 numbers[RATIO] = inertia.viscosity.ratio
             resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}

@@ -6,12 +6,43 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float, irregular
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.kernels.bonds import change_of_lengths
+from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
 # Largest number of Lanczos steps, and relative accuracy of the largest frequency at which they end.
 ITERATIONS, EXACT = 60, 5e-3
+
+
+class Deformation:
+    """Measure how far a body has deformed since an estimate of its largest frequency.
+
+    The largest relative change of the distance of a particle to one of its nearest neighbours bounds the change of the
+    spatial gradients, and so that of the frequency at constant stiffness of the material.
+
+    Parameters
+    ----------
+    body : Body
+        The body.
+    both : bool
+        Whether extensions count besides compressions. They do not in a body that fails: parts that move apart do not
+        become stiffer.
+    """
+
+    def __init__(self, body: Body, both: bool) -> None:
+        cloud, self._body, self._both = body.cloud, body, both
+        near = min(1 + 2 * cloud.dim, cloud.n_local)
+        found = scipy.spatial.cKDTree(cloud.x).query(cloud.x[: cloud.n_owned], near)[1] if cloud.n_owned else []
+        self._near = np.asarray(found, dtype=np.int32).reshape(cloud.n_owned, near)
+        self._length = np.ones(self._near.shape)
+
+    def since(self, state: State, begin: bool) -> float:
+        """Return the largest change of a distance since the last state with ``begin`` [-] (collective)."""
+        x, u, dim = self._body.cloud.x, state.u_local, self._body.dim
+        change = change_of_lengths(self._near, x, u, self._length, dim, self._both, begin)
+        return largest(self._body.cloud.comm, change)
 
 
 def largest_frequency(problem: Problem, state: State, mass: Float) -> float:

@@ -9,10 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, NonNegative
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial, Material
 from pdpetsc.material.closed import ClosedPart, GreenClosed, LogarithmicClosed, Principal, SmallClosed
+from pdpetsc.material.closed_sliding import SlidingPart
+
+# Strain below which a crack is closed, so that round-off does not decide where faces just touch.
+TOUCHING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Split(Declared, ABC):
     # dilatations.
     exact: ClassVar[bool] = True
 
-    def closed_part(self, material: Material) -> ClosedPart | None:
+    def closed_part(self, material: Material) -> ClosedPart | SlidingPart | None:
         """Return the law of the closed part, None if it is zero.
 
         Raises
@@ -35,6 +39,9 @@ class Split(Declared, ABC):
         CaseError
             The material has another energy.
         """
+        return self._without_slip(material)
+
+    def _without_slip(self, material: Material) -> ClosedPart:
         measure = material.strain_measure
         if not isinstance(material, IsotropicMaterial):
             raise CaseError(
@@ -132,17 +139,39 @@ class Spectral(Split):
 class NoTension(Split):
     """Closed part of a no-tension material: ``min psi(eps - p)`` over strains p of open cracks.
 
-    Cracks open along the largest principal strains until no principal stress is tensile.
+    Cracks open along the largest principal strains until no principal stress is tensile. Without ``friction`` faces
+    that touch do not slide: a closed crack carries shear as long as no principal stress is tensile.
+
+    With ``friction`` the faces of the crack of a point, normal to the direction at onset, slide against Coulomb
+    friction: the energy is that of ``F (1 - s (x) n)`` for the slip s of the faces over the width of the family. The
+    slip and the work of friction are stored. With ``friction=0.0`` the faces slide freely.
+
+    Parameters
+    ----------
+    friction : float, optional
+        Coefficient of friction [-]; by default the faces do not slide.
 
     References
     ----------
-    FreddiRoyerCarfagni2010, section 3; DelPiero1989.
+    FreddiRoyerCarfagni2010, section 3; DelPiero1989; Fei2020 (friction of cracks that are fields).
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> damage = pd.PointDamage(pd.softening.Linear(), Gc=0.1, strength=3.0, split=pd.split.NoTension())
+    >>> sliding = pd.PointDamage(
+    ...     pd.softening.Linear(), Gc=0.1, strength=3.0, split=pd.split.NoTension(friction=0.3)
+    ... )
     """
+
+    friction: NonNegative | None = None
+
+    def closed_part(self, material: Material) -> ClosedPart | SlidingPart | None:
+        """Return the law of the closed part, whose faces slide if there is a coefficient of friction."""
+        part = super().closed_part(material)
+        return (
+            part if self.friction is None or not isinstance(part, ClosedPart) else SlidingPart.of(part, self.friction)
+        )
 
     def closed(self, strain: Float, lam: float, mu: float) -> Principal:
         """Return the energy of the remaining compressive stresses."""
@@ -156,7 +185,7 @@ class NoTension(Split):
             # The other directions have the stiffness of a body with zero stress across the open cracks.
             left = eps[:, free:]
             tau = stiff * left.sum(axis=1)[:, None] + 2.0 * mu * left
-            here = ~found & (tau[:, 0] <= 0.0)
+            here = ~found & (tau[:, 0] <= TOUCHING * (lam + 2.0 * mu))
             psi[here] = 0.5 * (tau * left).sum(axis=1)[here]
             stress[here, free:] = tau[here]
             moduli[here, free:, free:] = stiff + 2.0 * mu * np.eye(k - free)

@@ -18,6 +18,7 @@ from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, Stenci
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.kernels.gradient import residual_kernel
 from pdpetsc.kernels.principal_rows import symmetric_axes
+from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.material.point_laws import PointLaws
 from pdpetsc.problem.body import Body
@@ -211,6 +212,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return True if a material depends on time."""
         return super().timed
 
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """Return True if the tangents of all materials and closed parts are symmetric."""
+        return super().symmetric and (self._closed is None or self._closed.symmetric)
+
     # Interface of a damage model.
 
     forces_have_energy = True
@@ -252,19 +258,25 @@ class DegradedPoints(MaterialPoints, DamageModel):
             return np.zeros(self.operator.n_points)
         return np.asarray((self._control.family_energy(state.u_local) / self._volume)[self.operator.owner])
 
-    def _followed(self, state: State) -> tuple[Float, Float, Float]:
+    def _followed(self, state: State) -> tuple[Float, Float, Float, Float]:
         """Return largest drives, final drives and degradation factors (n_points,) at a state (collective).
+
+        The last value are the normals (n_points, dim) of the cracks that begin, zero at other points; no rows if no
+        closed part reads them.
 
         The width of a family is that normal to the crack that begins when damage is first accepted beyond the onset. It
         is fixed for the rest of the load step. Otherwise sweeps and Newton might alternate between two directions.
         """
         points, x = self.points, self.driven(state).x
-        final = points.final.copy()
+        final, normal = points.final.copy(), np.zeros((points.final.size if self._slides else 0, self.body.dim))
         ahead = np.flatnonzero((points.largest <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
-            final[ahead] = self._final(ahead, self._across(state, ahead, x))
+            across = self._across(state, ahead, x)
+            final[ahead] = self._final(ahead, across)
+            if self._slides:
+                normal[ahead] = np.where(x[ahead, None] > 1.0, across, 0.0)
         kappa = np.maximum(points.kappa, x)
-        return kappa, final, points.phi_of(kappa, final)
+        return kappa, final, points.phi_of(kappa, final), normal
 
     def _across(self, state: State, points: GlobalIndex, x: Float) -> Float:
         """Compute unit normals (n, dim) of the crack at some points, for the drives x of all points (collective).
@@ -320,28 +332,53 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """
         points = self.points
         before = points.phi.copy()
-        points.largest[:], points.final[:], points.phi[:] = self._followed(state)
+        points.largest[:], points.final[:], points.phi[:], normal = self._followed(state)
+        for part, normals in self._sliding_parts:
+            begun = normal[part.points].any(axis=1)
+            normals[begun] = normal[part.points][begun]
         change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
         self.conduction_version += change > 0.0
         return change
+
+    @property
+    def _slides(self) -> bool:
+        """Return True if the faces of closed cracks slide."""
+        return self._closed is not None and self._closed.has_history
+
+    @property
+    def _sliding_parts(self) -> list[tuple[MaterialAtPoints, Float]]:
+        """Return the closed parts whose faces slide, with the normals in their history (n, dim)."""
+        parts = self._closed.materials if self._closed is not None and self._slides else []
+        return [(part, part.history[:, : self.body.dim]) for part in parts]
 
     def keep(self, state: State) -> None:
         """Commit the damage at a converged state (not collective)."""
         self.points.commit()
 
+    def commit(self, state: State) -> None:
+        """Update the histories of materials and the slip of closed cracks at a converged state."""
+        super().commit(state)
+        if self._closed is not None and self._slides:
+            self._closed.laws(state).commit(self.deformation(state))
+
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""
         self.points.revert()
+        for part, normals in self._sliding_parts:
+            normals[self.points.kappa[part.points] <= 1.0] = 0.0
         self.conduction_version += 1
         return False
 
     def stored(self) -> tuple[Float, ...]:
-        """Return a copy of degradation factors, largest and final drives (not collective)."""
-        return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy()
+        """Return a copy of degradation factors, largest and final drives, and normals (not collective)."""
+        normals = [normals.copy() for _, normals in self._sliding_parts]
+        return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy(), *normals
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Restore stored values (not collective)."""
-        self.points.phi[:], self.points.largest[:], self.points.final[:] = stored
+        self.points.phi[:], self.points.largest[:], self.points.final[:], *kept = stored
+        for (_, normals), before in zip(self._sliding_parts, kept, strict=True):
+            normals[:] = before
         self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
@@ -515,8 +552,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials and the damage of the points."""
         points, owner = self.points, self.operator.owner
+        closed = self._closed.arrays() if self._closed is not None else {}
         return {
             **super().arrays(),
+            **{f"closed_{name}": array for name, array in closed.items()},
             "phi": KeptArray(owner, points.phi, 0.0, 1.0),
             "largest_drive": KeptArray(owner, points.kappa, 0.0),
             "final_drive": KeptArray(owner, points.final, 1.0),

@@ -1,0 +1,222 @@
+"""Faces of closed cracks that slide with friction: law, body, ranks, restart and a loop of two halves."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.command_line.cli import load_case
+from tests.commands import ROOT, Stop, history, results
+from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
+
+LAWS = ["linear_elastic", "hencky", "saint_venant_kirchhoff"]
+CASE = "runs/fracture/closed_crack.py"
+
+
+def closed(name, friction):
+    return pd.split.NoTension(friction=friction).closed_part(MATERIALS[name])
+
+
+def cracked(rng, dim, n=40, slip=0.01):
+    """Return a history with random normals and slips."""
+    normal, s = rng.standard_normal((2, n, dim))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    s = slip * (s - normal * (s * normal).sum(axis=1)[:, None])
+    return np.concatenate([normal, s, np.zeros((n, 1))], axis=1)
+
+
+def evaluate(part, quantity, F, past):
+    dim = F.shape[-1]
+    shape = {"energy": (), "stress": (dim, dim), "tangent": (dim,) * 4}[quantity]
+    found = np.empty((len(F), *shape))
+    loop = getattr(part.history_kernels(dim), quantity)
+    loop(F, np.arange(len(F)), part.constants(dim), past, found)
+    return found
+
+
+def by_difference(part, quantity, F, past, step=1e-6):
+    dim = F.shape[-1]
+    columns = []
+    for i, m in itertools.product(range(dim), repeat=2):
+        d = np.zeros((dim, dim))
+        d[i, m] = step
+        up, down = (evaluate(part, quantity, F + sign * d, past) for sign in (1.0, -1.0))
+        columns.append((up - down) / (2.0 * step))
+    return np.stack(columns, axis=-1).reshape(*columns[0].shape, dim, dim)
+
+
+@pytest.mark.processors
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_tangents_are_those_of_differences(dim, name, friction, rng):
+    part, past = closed(name, friction), cracked(rng, dim)
+    past[:5, :dim] = 0.0  # points without a crack
+    past[:5, dim : 2 * dim] = 0.0
+    F = np.eye(dim) + rng.uniform(-0.08, 0.04, (40, dim, dim))
+    A = evaluate(part, "tangent", F, past)
+    assert pytest.approx(by_difference(part, "stress", F, past), abs=1e-6 * np.abs(A).max()) == A
+    if friction == 0.0:
+        P = evaluate(part, "stress", F, past)
+        assert pytest.approx(by_difference(part, "energy", F, past), abs=1e-7 * np.abs(P).max()) == P
+        assert pytest.approx(A.transpose(0, 3, 4, 1, 2), abs=1e-12 * np.abs(A).max()) == A
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_shear_is_at_most_friction_times_pressure(name):
+    """Pressed by 0.01 and sheared in small steps, there and back: Coulomb's loop, with the work of its forces."""
+    part, friction, pressed, most = closed(name, 0.3), 0.3, 0.01, 0.03
+    mu, past = MATERIALS[name].lame(2)[1], np.array([[0.0, 1.0, 0.0, 0.0, 0.0]])
+    gammas = most * np.concatenate([np.linspace(0, 1, 401), np.linspace(1, -1, 801), np.linspace(-1, 1, 801)])
+    shear, pressure, work, before = [], [], 0.0, None
+    for gamma in gammas:
+        F = np.array([[[1.0, gamma], [0.0, 1.0 - pressed]]])
+        P = evaluate(part, "stress", F, past)
+        if before is not None:
+            work += float((0.5 * (P + before[1]) * (F - before[0])).sum())
+        before = F, P
+        part.history_kernels(2).commit(F, np.zeros(1, dtype=np.int64), part.constants(2), past)
+        shear.append(P[0, 0, 1])
+        pressure.append(-P[0, 1, 1])
+    limit = friction * np.mean(pressure)
+    # Traction and pressure of a deformed body differ from these by strains.
+    assert max(shear) == pytest.approx(limit, rel=0.03)
+    assert min(shear) == pytest.approx(-limit, rel=0.03)
+    # The stiffness before slip is that of the intact material.
+    assert shear[10] == pytest.approx(mu * gammas[10], rel=0.05)
+    # A whole loop: twice the limit times the slip there and back.
+    slip = 2.0 * (most - limit / mu)
+    assert past[0, -1] == pytest.approx(limit * (most - limit / mu + 2.0 * slip), rel=0.03)
+    start = evaluate(part, "energy", np.array([[[1.0, 0.0], [0.0, 1.0 - pressed]]]), np.array([[0.0, 1.0, 0, 0, 0]]))
+    assert work == pytest.approx(float((evaluate(part, "energy", F, past) - start)[0]), rel=0.01)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", ["hencky", "saint_venant_kirchhoff"])
+def test_a_rotation_turns_the_stress(name, dim, rng):
+    part, past = closed(name, 0.3), cracked(rng, dim)
+    F, R = np.eye(dim) + rng.uniform(-0.08, 0.04, (40, dim, dim)), rotation(dim, rng)
+    P, turned = evaluate(part, "stress", F, past), evaluate(part, "stress", R @ F, past)
+    assert turned == pytest.approx(R @ P, abs=1e-9 * np.abs(P).max())
+    assert evaluate(part, "energy", R @ F, past) == pytest.approx(evaluate(part, "energy", F, past))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", LAWS)
+def test_faces_that_stick_are_intact_and_open_ones_free(name, dim, rng):
+    """At small strain, and the stress along an open crack stays."""
+    part, law = closed(name, 1e3), MATERIALS[name]
+    past = cracked(rng, dim, slip=0.0)
+    H = 1e-7 * rng.standard_normal((40, dim, dim))
+    H -= 5e-7 * np.eye(dim)
+    C = law.moduli(dim)
+    P = evaluate(part, "stress", np.eye(dim) + H, past)
+    assert pytest.approx(np.einsum("imkn,pkn->pim", C, H), rel=1e-4, abs=1e-5 * np.abs(P).max()) == P
+    n = past[:, :dim]
+    opened = (
+        np.eye(dim)
+        + 0.01 * n[:, :, None] * n[:, None, :]
+        + 0.02 * rng.standard_normal((40, dim))[:, :, None] * n[:, None, :]
+    )
+    t = np.einsum("pij,pj->pi", evaluate(part, "stress", opened, past), n)
+    gap = np.einsum("pi,pij,pj->p", n, opened, n) > 1.0
+    assert gap.sum() > 10
+    assert np.abs(t[gap]).max() < 1e-2 * law.E * 0.02
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("name", LAWS)
+def test_the_tangent_of_a_cracked_body_is_that_of_differences(name, friction, rng):
+    law = pd.PointDamage(pd.softening.Linear(), Gc=0.2, onset=0.02, split=pd.split.NoTension(friction=friction))
+    model = damaged_body(2, law, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS[name], rng)
+    problem = model.problem
+    u = displacement(model, rng, 0.06)
+    problem.soften(problem.state(u))
+    problem.commit(problem.state(u))
+    damage = problem.damage
+    normals = damage._sliding_parts[0][1]
+    assert normals.any(axis=1).sum() > 5
+    problem.freeze(True)
+    u = -0.5 * u + displacement(model, rng, 0.02)
+    K, columns = dense_tangent(model, u), rng.choice(u.size, 12, replace=False)
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+    assert problem.symmetric == (friction == 0.0)
+
+
+def test_damage_that_is_undone_leaves_no_normal(rng):
+    law = pd.PointDamage(pd.softening.Linear(), Gc=0.2, onset=0.02, split=pd.split.NoTension(friction=0.3))
+    model = damaged_body(2, law, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+    problem, u = model.problem, displacement(model, rng, 0.06)
+    stored = problem.damage.stored()
+    problem.soften(problem.state(u))
+    normals = problem.damage._sliding_parts[0][1]
+    assert normals.any()
+    taken = problem.damage.stored()
+    problem.damage.reset(stored)
+    assert not normals.any()
+    problem.damage.reset(taken)
+    assert normals.any()
+    problem.revert()
+    assert not normals.any()
+
+
+def test_two_halves_slide_against_friction_there_and_back(tmp_path):
+    """The surfaces of the lattice are 1 % softer than the body at n = 20, half of that at n = 40."""
+    found = results(CASE, "n=16", "steps=5", output=tmp_path)["results"]
+    assert found["pressure_over_exact"] == pytest.approx(1.0, abs=0.01)
+    assert found["drag_over_normal"] == pytest.approx(0.3, abs=1e-4)
+    assert found["slip_over_exact"] == pytest.approx(1.0, abs=0.02)
+    assert found["work_over_exact"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_faces_without_friction_carry_pressure_alone(tmp_path):
+    found = results(CASE, "n=16", "steps=5", "friction=0", output=tmp_path)["results"]
+    assert found["pressure_over_exact"] == pytest.approx(1.0, abs=0.02)
+    assert found["drag_over_normal"] < 1e-5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("strain", ["small", "logarithmic", "green"])
+def test_the_loop_of_two_halves_converges(strain, tmp_path):
+    coarse, fine = (results(CASE, f"n={n}", f"strain={strain}", output=tmp_path / str(n))["results"] for n in (20, 40))
+    for name in ("slip_over_exact", "work_over_exact"):
+        assert abs(fine[name] - 1.0) < 0.009
+        assert abs(coarse[name] - 1.0) < 0.016
+    assert fine["drag_over_normal"] == pytest.approx(0.3, abs=1e-3)
+
+
+def test_ranks_and_a_restart_slide_alike(tmp_path):
+    words = "n=16", "steps=5"
+    results(CASE, *words, output=tmp_path / "1")
+    results(CASE, *words, output=tmp_path / "2", ranks=2)
+    one, two = (history(tmp_path / name) for name in "12")
+    for name in ("force_x", "force_y", "stored"):
+        scale = np.abs(one[name]).max()
+        assert two[name] == pytest.approx(one[name], abs=1e-7 * scale)
+
+
+def test_a_slip_that_continues_after_a_restart_is_the_same(tmp_path):
+    case = load_case(ROOT / CASE)(n=16, steps=5)
+    case = dataclasses.replace(case, checkpoints=1)
+    whole = pd.run(case, tmp_path / "whole")
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(case, history={**case.history, "stop": Stop(0.7)}), tmp_path / "part")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "part")
+    assert np.array_equal(again.solution.unknowns, whole.solution.unknowns)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_units_change_nothing(unit, rng):
+    past, law = cracked(rng, 2), MATERIALS["hencky"]
+    same, scaled = (
+        pd.split.NoTension(friction=0.3).closed_part(dataclasses.replace(law, E=E)) for E in (law.E, law.E * unit)
+    )
+    F = np.eye(2) + rng.uniform(-0.08, 0.04, (40, 2, 2))
+    assert evaluate(scaled, "stress", F, past) == pytest.approx(unit * evaluate(same, "stress", F, past), rel=1e-9)
+
+
+def test_a_negative_friction_is_refused():
+    with pytest.raises(pd.CaseError, match="friction"):
+        pd.split.NoTension(friction=-0.1)

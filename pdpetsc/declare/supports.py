@@ -58,7 +58,7 @@ class RigidRegion(RigidMotion, _Support):
 
     With ``moment`` take a material for large rotations, such as ``NeoHookean``. Those of small strain resist the
     rotation of the region itself: of a beam with a region over its half the deflection is 6 % too small where it turns
-    by 0.03 rad. They are refused in a motion.
+    by 0.03 rad. They are refused in a motion, and a run warns of them where a region turns by more than 0.01 rad.
 
     Parameters
     ----------

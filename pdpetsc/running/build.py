@@ -63,6 +63,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
+from pdpetsc.running.turned_regions import resists_rotation
 from pdpetsc.solvers.heat_steps import HeatSteps
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
@@ -365,7 +366,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
     if case.solver.duration is not None:
         problem.inertia = _inertia(case, problem, materials, applied)
-        _refuse_turning(case, problem, materials)
+        _refuse_turning(case, problem)
         problem.inertia.carry([rigid for _, rigid in problem.rigid_bodies])
         problem.terms.append(problem.inertia)
         problem.last_step = None  # time steps start from the velocity
@@ -396,13 +397,10 @@ def _conserving(case: Case, materials: OfParticles) -> OfParticles:
     return replace(materials, materials=laws)
 
 
-def _refuse_turning(case: Case, problem: Problem, materials: OfParticles) -> None:
+def _refuse_turning(case: Case, problem: Problem) -> None:
     """Raise CaseError if a rigid region turns freely in a motion, and its material resists rotations."""
     turning = [rigid for _, rigid in problem.rigid_bodies if rigid.rows is not None and rigid.declared.twisted]
-    small = [
-        one.kinematics == "small" if isinstance(one, BondMaterial) else one.small_strain for one in materials.materials
-    ]
-    if turning and any(small):
+    if turning and resists_rotation(case):
         raise CaseError(
             f"{turning[0].title} has a moment in a motion, and materials of small strain, which resist its rotation. "
             f"Use a material for large rotations, such as NeoHookean, or leave the moment out."

@@ -20,6 +20,7 @@ from pdpetsc.running.fragments import DetachedParticles, Fragments
 from pdpetsc.running.modes import FoundModes
 from pdpetsc.running.stabilisation_energy import StabilisationEnergy
 from pdpetsc.running.stability import Stability
+from pdpetsc.running.turned_regions import TurnedRegions
 from pdpetsc.running.unbalanced_surface import UnbalancedForces
 
 
@@ -46,6 +47,7 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         CrackLines(case.history.values()),
         Fragments(),
         UnbalancedForces(case),
+        TurnedRegions(case),
         *([] if case.modes is None else [FoundModes(case, case.modes)]),
         Stability(case),
         FinalPicture(case.picture),

@@ -11,6 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.laws import BondDamage, Marking
 from pdpetsc.damage.softening import SofteningCurve
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared, Positive, name_of, numbers_from
 from pdpetsc.discrete.cloud import Cloud
@@ -55,6 +56,9 @@ class PointDamage(Declared):
     protected : Region, optional
         Points of particles in this region do not fail. Leave two horizons beside a crack: protected points hold the
         faces of a crack within their families.
+    cracks : sequence of Crack, optional
+        Cracks at the start whose faces touch, such as ``pd.Segment``: points whose family they cut along their normal
+        have failed. ``Case(cracks=...)`` instead cuts bonds, and its faces do not touch.
 
     Raises
     ------
@@ -77,6 +81,7 @@ class PointDamage(Declared):
     onset: Positive | Callable[[Float], Float] | None = field(default=None, kw_only=True)
     split: Split = field(default_factory=NoTension, kw_only=True)
     protected: Region | None = field(default=None, kw_only=True)
+    cracks: Sequence[Crack] = field(default=(), kw_only=True)
 
     all_laws: ClassVar[list[BondDamage]] = []
 
@@ -101,7 +106,7 @@ class PointDamage(Declared):
 
     def rehearsed(self) -> PointDamage:
         """Return the law for a small body on which its loops are compiled."""
-        return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
+        return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None, cracks=())
 
     def onset_energy(self, E: Float, x: Float) -> Float:
         """Compute the energy of uniaxial tension at the onset (n,) [energy / volume] at positions x (n, dim).
@@ -202,6 +207,11 @@ class AssignedPointDamage:
         return self.laws[0].split
 
     @property
+    def cracks(self) -> list[Crack]:
+        """Return the cracks at the start of all laws."""
+        return [crack for law in self.laws for crack in law.cracks]
+
+    @property
     def varies(self) -> bool:
         """Return True if a fracture energy is a function of position and direction."""
         return any(callable(law.Gc) for law in self.laws)
@@ -276,6 +286,13 @@ class FailingPoints:
         self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
         self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.frozen, self.slack = False, 0.0
+        self._at_start = np.zeros(n)
+        self.commit()
+
+    def start_failed(self, points: GlobalIndex) -> None:
+        """Let points fail before the first step, without dissipation."""
+        self.largest[points], self.phi[points] = self.final[points], 0.0
+        self._at_start = self.dissipated()
         self.commit()
 
     def final_of(self, points: GlobalIndex, energy: Float) -> Float:
@@ -318,10 +335,10 @@ class FailingPoints:
         return phi
 
     def dissipated(self) -> Float:
-        """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""
+        """Return ``-int Y dphi`` since the start (n_points,) [energy / volume]."""
         found = np.zeros(len(self.largest))
         begun = np.flatnonzero((self.largest > 1.0) & ~self.spared)
         x, r = np.minimum(self.largest[begun], self.final[begun]), self.final[begun]
         xi = (x - 1.0) / (r - 1.0)
         found[begun] = 2.0 * (r - 1.0) * self.curves.integral(xi, begun) + 1.0 - x * self.curves.stress(xi, begun)
-        return np.asarray(found * self.onset_energy)
+        return np.asarray(found * self.onset_energy - self._at_start)

@@ -35,6 +35,16 @@ class Crack(Declared, ABC):
             The crack has another dimension than the body.
         """
 
+    def normals(self, x: Float) -> Float:
+        """Return the unit normals of the crack at the places on it that are nearest to ``x``, both (n, dim).
+
+        Raises
+        ------
+        CaseError
+            Cracks of this class have no normals.
+        """
+        raise CaseError(f"A crack {type(self).__name__} has no method normals, which closed cracks need.")
+
 
 @dataclass(frozen=True)
 class Segment(Crack):
@@ -71,6 +81,17 @@ class Segment(Crack):
         where = ((a + share[:, None] * (b - a) - p) @ along) / size
         return np.asarray(crossing & (where >= -close) & (where <= size + close))
 
+    def normals(self, x: Float) -> Float:
+        """Return the normal of the segment."""
+        along = _point(self.end, 2, "Segment") - _point(self.start, 2, "Segment")
+        return _repeated([-along[1], along[0]], x)
+
+    def _distance(self, x: Float) -> Float:
+        """Return the distance of points (n, 2) from the segment (n,)."""
+        p, along = np.asarray(self.start), np.asarray(self.end, dtype=float) - np.asarray(self.start)
+        share = np.clip((x - p) @ along / max(float(along @ along), np.finfo(float).tiny), 0.0, 1.0)
+        return np.asarray(np.linalg.norm(x - p - share[:, None] * along, axis=1))
+
 
 @dataclass(frozen=True)
 class Polyline(Crack):
@@ -90,12 +111,19 @@ class Polyline(Crack):
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross one of the segments."""
+        return np.asarray(np.any([segment.cuts(a, b) for segment in self._segments], axis=0))
+
+    def normals(self, x: Float) -> Float:
+        """Return the normals of the nearest segments."""
+        nearest = np.argmin([segment._distance(x) for segment in self._segments], axis=0)
+        normals = np.array([segment.normals(x[:1])[0] for segment in self._segments]) if len(x) else np.zeros((1, 2))
+        return np.asarray(normals[nearest])
+
+    @property
+    def _segments(self) -> list[Segment]:
         if len(self.points) < 2:
             raise CaseError("A crack Polyline needs at least two points.")
-        cut = np.zeros(len(a), dtype=bool)
-        for start, end in zip(self.points[:-1], self.points[1:], strict=True):
-            cut |= Segment(start, end).cuts(a, b)
-        return cut
+        return [Segment(start, end) for start, end in zip(self.points[:-1], self.points[1:], strict=True)]
 
 
 @dataclass(frozen=True)
@@ -114,6 +142,10 @@ class PlaneCrack(Crack):
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the plane."""
         return _crossing(a, b, self.point, self.normal)[0]
+
+    def normals(self, x: Float) -> Float:
+        """Return the normal of the plane."""
+        return _repeated(self.normal, x)
 
 
 @dataclass(frozen=True)
@@ -141,6 +173,10 @@ class Disc(Crack):
         crossing, where = _crossing(a, b, self.centre, self.normal)
         inside = np.linalg.norm(where - np.asarray(self.centre, dtype=float), axis=1) <= self.radius
         return np.asarray(crossing & inside)
+
+    def normals(self, x: Float) -> Float:
+        """Return the normal of the disc."""
+        return _repeated(self.normal, x)
 
 
 @dataclass(frozen=True)
@@ -172,6 +208,11 @@ class PolygonCrack(Crack):
         basis = np.array([one, np.cross(normal / size, one)])
         flat_corners, flat_where = (corners - corners[0]) @ basis.T, (where - corners[0]) @ basis.T
         return np.asarray(crossing & _inside(flat_corners, flat_where))
+
+    def normals(self, x: Float) -> Float:
+        """Return the normal of the polygon."""
+        corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
+        return _repeated(np.cross(corners[1] - corners[0], corners[2] - corners[0]), x)
 
 
 SHIPPED: dict[str, type[Crack]] = {kind.__name__: kind for kind in (Segment, Polyline, PlaneCrack, Disc, PolygonCrack)}
@@ -217,6 +258,12 @@ def _inside(corners: Float, where: Float) -> Mask:
         height = q[1] - p[1] if q[1] != p[1] else 1.0
         inside ^= spans & (where[:, 0] < p[0] + (where[:, 1] - p[1]) / height * (q[0] - p[0]))
     return inside
+
+
+def _repeated(normal: Sequence[float] | Float, x: Float) -> Float:
+    """Return a normal of any length as unit vectors (n, dim) for points ``x`` (n, dim)."""
+    n = np.asarray(normal, dtype=float)
+    return np.tile(n / max(float(np.linalg.norm(n)), np.finfo(float).tiny), (len(x), 1))
 
 
 def _cross(u: Float, v: Float) -> Float:

@@ -10,7 +10,9 @@ from pdpetsc.problem.problem import Problem
 
 # Relative tolerance of the first linear solve of a step, and the largest of the others.
 LOOSE = 1e-3
-
+# Growth of the residual at which a linear solver gives up. In the norm of the preconditioner, which does not know point
+# supports, it grows by 1e5 before it falls; PETSc would give up at 1e4.
+GROWN = 1e12
 
 # Options of a linear solver; with several blocks, each block has its own.
 OF_A_SOLVER = ("ksp_", "pc_", "mat_", "mg_")
@@ -98,6 +100,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    defaults["ksp_divtol"] = GROWN
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults["ksp_pc_side"] = "right"
     if choice.levels and problem.symmetric and not solver.of_energy:

@@ -12,6 +12,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.control.base import Control
 from pdpetsc.control.tangent_scaled import YieldingFamilies
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
@@ -123,6 +124,31 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self.points.final[:] = np.where(self.points.spared, 1.0, final)
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
+        for crack in damage_laws.cracks:
+            self._start_crack(crack)
+
+    def _start_crack(self, crack: Crack) -> None:
+        """Let all points fail whose family a crack cuts along its normal (collective)."""
+        points, x = np.flatnonzero(~self.points.spared), self.body.cloud.x
+        with agreed(self.body.cloud.comm):
+            normal = crack.normals(x[self.operator.owner[points]])
+            half = 0.5 * self._width(points, normal)[:, None] * normal
+            place = x[self.operator.owner[points]]
+            cut = crack.cuts(place - half, place + half)
+        points, normal = points[cut], normal[cut]
+        if not int(total(self.body.cloud.comm, len(points))):
+            raise CaseError(f"The {type(crack).__name__} in cracks of PointDamage cuts no family. Put it in the body.")
+        self.points.final[points] = self._final(points, normal)
+        self.points.start_failed(points)
+        everywhere = np.zeros((self.operator.n_points, self.body.dim))
+        everywhere[points] = normal
+        self._direct(everywhere)
+
+    def _direct(self, normal: Float) -> None:
+        """Store the normals (n_points, dim) of cracks that begin, zero at other points, for faces that slide."""
+        for part, normals in self._sliding_parts:
+            begun = normal[part.points].any(axis=1)
+            normals[begun] = normal[part.points][begun]
 
     def _refuse_strength(self) -> None:
         """Raise CaseError if points would store more energy at the onset than the crack may dissipate (collective)."""
@@ -333,9 +359,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points = self.points
         before = points.phi.copy()
         points.largest[:], points.final[:], points.phi[:], normal = self._followed(state)
-        for part, normals in self._sliding_parts:
-            begun = normal[part.points].any(axis=1)
-            normals[begun] = normal[part.points][begun]
+        if self._slides:
+            self._direct(normal)
         change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
         self.conduction_version += change > 0.0
         return change

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import runpy
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differ
 
 LAWS = ["linear_elastic", "hencky", "saint_venant_kirchhoff"]
 CASE = "runs/fracture/closed_crack.py"
+SPACE = runpy.run_path(str(ROOT / "runs/fracture/sliding_crack.py"))
+sliding, sliding_case = SPACE["sliding"], SPACE["case"]
 
 
 def closed(name, friction):
@@ -220,3 +223,57 @@ def test_units_change_nothing(unit, rng):
 def test_a_negative_friction_is_refused():
     with pytest.raises(pd.CaseError, match="friction"):
         pd.split.NoTension(friction=-0.1)
+
+
+def test_a_crack_at_the_start_opens_as_one_of_cut_bonds(tmp_path):
+    """It is 0.4 cells longer at each tip, and has not dissipated."""
+    n, load = 40, 1e-3
+    closed = sliding_case(n=n, friction=0.3)
+    pulled = [pd.Traction("+y", y=load), pd.Traction("-y", y=-load), *closed.conditions[-2:]]
+    history = {"work": pd.ExternalWork(), "dissipated": pd.DissipatedEnergy()}
+    closed = dataclasses.replace(closed, conditions=pulled, history=history)
+    crack = closed.damage.cracks[0]
+    intact = dataclasses.replace(closed, damage=None, history={"work": history["work"]})
+    cut = dataclasses.replace(intact, cracks=[crack])
+    found = [pd.run(case, tmp_path / str(k)).history for k, case in enumerate((intact, cut, closed))]
+    of_cut, of_points = (h["work"][-1] - found[0]["work"][-1] for h in found[1:])
+    assert found[2]["dissipated"][-1] == 0.0
+    # The work grows with the square of the length.
+    assert 0.2 < (np.sqrt(of_points / of_cut) - 1.0) * n / 10.0 < 0.6
+
+
+def test_a_crack_in_a_plate_slides_against_friction(tmp_path):
+    """With 8 cells over it the factor over the closed form is 2, with 48 it is 1.2."""
+    smooth, rough = (sliding(n=40, angle=30.0, horizon=2.015, friction=friction) for friction in (0.0, 0.3))
+    # The slip is proportional to the shear less the friction.
+    assert rough == pytest.approx(smooth, rel=0.03)
+    assert 1.0 < rough < 2.2
+
+
+@pytest.mark.long
+def test_the_slip_of_a_crack_in_a_plate_converges():
+    coarse, fine = (sliding(n=n, horizon=2.015) for n in (60, 120))
+    assert 0.0 < fine - 1.0 < 0.6 * (coarse - 1.0)
+
+
+@pytest.mark.parametrize("crack, normal", [
+    (pd.Segment((0.0, 0.0), (3.0, 4.0)), (-0.8, 0.6)),
+    (pd.Polyline([(0.0, 0.0), (3.0, 4.0), (30.0, 4.0)]), (-0.8, 0.6)),
+    (pd.PlaneCrack((0.0, 0.0), (0.0, 2.0)), (0.0, 1.0)),
+    (pd.PlaneCrack((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)), (0.0, 1.0, 0.0)),
+    (pd.Disc((0.0, 0.0, 0.0), (3.0, 0.0, 4.0), 1.0), (0.6, 0.0, 0.8)),
+    (pd.PolygonCrack([(0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)]), (0.0, 0.0, 1.0)),
+])  # fmt: skip
+def test_cracks_have_normals(crack, normal):
+    x = np.full((2, len(normal)), 1.0)
+    found = crack.normals(x)
+    assert np.abs(found @ np.array(normal)) == pytest.approx([1.0, 1.0])
+    assert np.linalg.norm(found, axis=1) == pytest.approx([1.0, 1.0])
+    assert crack.normals(x[:0]).shape == (0, len(normal))
+
+
+def test_a_crack_beside_the_body_is_refused(tmp_path):
+    law = pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.1, cracks=[pd.Segment((20.0, 0.0), (21.0, 0.0))])
+    case = dataclasses.replace(sliding_case(n=20), damage=law)
+    with pytest.raises(pd.CaseError, match="cuts no family"):
+        pd.run(case, tmp_path)

@@ -247,6 +247,32 @@ def test_damage_while_running_gives_the_results_of_the_assembled_tangent(tmp_pat
     assert forces[0] == pytest.approx(forces[1], abs=1e-6 * np.abs(forces[1]).max())
 
 
+def test_a_plate_on_point_supports_is_solved_without_a_matrix(tmp_path):
+    """The preconditioner does not know these supports, and the residual in its norm grows 1e5 times before it falls."""
+    n, end, (s_xx, s_xy, s_yy) = 240, 5.0, (-6.7e-5, -2.5e-4, -9.33e-4)
+    left = pd.region.Box((-end, -1.5), (-4.0, 1.5))
+    right = pd.region.Box((4.0, -1.5), (end, 1.5))
+    case = pd.Case(
+        particles=pd.Lattice((-end, -end), (end, end), 2.0 * end / n),
+        horizon=2.015 * 2.0 * end / n,
+        material=pd.LinearElastic(E=1.0, nu=0.0),
+        scheme=pd.Correspondence(),
+        control=pd.Silling(2.0),
+        conditions=[
+            *(pd.Traction(f"{sign}x", x=factor * s_xx, y=factor * s_xy) for sign, factor in (("-", -1), ("+", 1))),
+            *(pd.Traction(f"{sign}y", x=factor * s_xy, y=factor * s_yy) for sign, factor in (("-", -1), ("+", 1))),
+            pd.PointSupport(left, x=0.0, y=0.0),
+            pd.PointSupport(right, y=0.0),
+        ],
+        steps=pd.Steps(2),
+        history={"work": pd.ExternalWork()},
+        fields=[],
+    )
+    work = pd.run(case, tmp_path, options=FREE).history["work"][-1]
+    uniform = 0.5 * (2.0 * end) ** 2 * (s_xx**2 + s_yy**2 + 2.0 * s_xy**2)
+    assert work == pytest.approx(uniform, rel=0.01)
+
+
 OPTIONS = (
     {"pc_mg_type": "multiplicative"},
     {"pc_mg_type": "multiplicative", "mg_levels_ksp_max_it": 4},

@@ -483,6 +483,43 @@ class FollowerPressure(SurfacePressure):
         onto.follower_pressure(self, name)
 
 
+@dataclass(frozen=True)
+class CrackPressure(SurfacePressure):
+    """Pressure of a fluid on the faces of cracks of ``PointDamage``.
+
+    Points carry the stress ``-(1 - phi) p cof F`` besides their own, ``-(1 - phi) p`` at small strain: failed points
+    press the faces of the crack apart, with the degradation factor phi. It follows the deformation, with its exact
+    tangent, which is not symmetric while points fail. The pressure does not drive the damage by itself, so that
+    strength and Gc are those of the dry body. Its resultant is zero.
+
+    Parameters
+    ----------
+    region : Region
+        The particles whose points it acts on.
+    value, schedule
+        As for ``FollowerPressure``.
+
+    Raises
+    ------
+    CaseError
+        In a case: damage is not ``PointDamage``.
+
+    References
+    ----------
+    Bourdin2012, section 2 (pressure in a crack that is a field).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> inside = pd.CrackPressure(pd.region.All(), 0.2)
+    """
+
+    on_surface: ClassVar[bool] = False
+
+    def put(self, onto: Any, name: str) -> None:
+        onto.crack_pressure(self, name)
+
+
 def Pressure(
     region: Region,
     value: Value,

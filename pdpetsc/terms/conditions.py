@@ -13,6 +13,7 @@ from pdpetsc.declare.conditions import (
     BodyForce,
     Centrifugal,
     Condition,
+    CrackPressure,
     Displacement,
     DrivenMotion,
     FollowerPressure,
@@ -48,7 +49,9 @@ from pdpetsc.terms.body_contact import BodyContactForces
 from pdpetsc.terms.centrifugal import CentrifugalForce
 from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.contact import ContactForces
+from pdpetsc.terms.crack_pressure import CrackPressureLoad
 from pdpetsc.terms.dead_loads import DeadLoads
+from pdpetsc.terms.degraded_points import DegradedPoints
 from pdpetsc.terms.facet_contact import STIFFNESS, Points
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.loaded_region import LoadedRegion
@@ -302,6 +305,13 @@ class Applied:
     def follower_pressure(self, condition: FollowerPressure, name: str) -> None:
         """Add a pressure on the deformed surface."""
         self.following.append(PressureOnDeformed(self.body, condition, name))
+
+    def crack_pressure(self, condition: CrackPressure, name: str) -> None:
+        """Add a pressure on the faces of cracks."""
+        if not isinstance(self._material_term, DegradedPoints):
+            raise CaseError(f"{name} acts on failed gradient points. Declare damage by PointDamage.")
+        mask = select(self.body.cloud, condition.region, name)
+        self.following.append(CrackPressureLoad(self._material_term, condition, mask, name))
 
     def contact(self, condition: Contact, name: str) -> None:
         """Add the contact with a tool."""

@@ -495,11 +495,32 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of failing points, ``v = dY/du`` over the members of their stencil."""
+        active, b = self._failing_by_drive(state)
+        stencils, v = self._drive_gradient(state, active)
+        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b)
+
+    def softened(self, state: State, stress: Float) -> Product:
+        """Return ``W dphi/dY (G^T stress) (x) v`` of failing points, the change of ``G^T W phi stress`` by damage.
+
+        ``stress`` (n_points, dim, dim) [stress].
+        """
+        active, b = self._failing_by_drive(state)
+        stencils, v = self._drive_gradient(state, active)
+        # The operator lists its points in ascending order.
+        order = np.argsort(active)
+        some, forces = self.operator.at(active[order]), np.zeros_like(v)
+        each = np.einsum("eij,ej->ei", np.repeat(stress[active[order]], np.diff(some.point_ptr), axis=0), some.g)
+        place = places_of(some, order, stencils, self.body.cloud.n_local)
+        for i in range(self.body.dim):
+            forces[:, i] = np.bincount(place, each[:, i], len(v))
+        return SofteningProduct(stencils, self.body.cloud.n_owned, forces, v, b)
+
+    def _failing_by_drive(self, state: State) -> tuple[GlobalIndex, Float]:
+        """Return the points that fail, and their ``W dphi/dY`` (n,) [volume^2 / energy] (collective)."""
         points, driven = self.points, self.driven(state)
         active = self._by_stencil(np.flatnonzero(driven.fails))
-        stencils, v = self._drive_gradient(state, active)
         b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * points.onset_energy)
-        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+        return active, b[active]
 
     def _by_stencil(self, points: GlobalIndex) -> GlobalIndex:
         """Sort points by the owners of their driving stencils."""

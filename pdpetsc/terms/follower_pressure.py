@@ -14,6 +14,7 @@ from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.terms.chosen_facets import ChosenFacets, by_component
+from pdpetsc.terms.cofactor import cofactor, cofactor_by_F
 from pdpetsc.terms.following_load import FollowingLoad
 
 
@@ -72,13 +73,7 @@ class PressureOnDeformed(FollowingLoad):
 
     def _areas(self, state: State) -> Float:
         """Compute the deformed vector areas of the facets (n_facets, dim) [area]."""
-        F = self._gradients(state)
-        if self.body.dim == 1:
-            return self._facets.area
-        if self.body.dim == 2:
-            return np.asarray(np.einsum("ia,JM,faM,fJ->fi", _TURN, _TURN, F, self._facets.area))
-        areas = np.einsum("iab,JMN,faM,fbN,fJ->fi", _TURNS, _TURNS, F, F, self._facets.area, optimize=True)
-        return np.asarray(0.5 * areas)
+        return np.asarray(np.einsum("fiJ,fJ->fi", cofactor(self._gradients(state)), self._facets.area))
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the pressure."""
@@ -89,19 +84,9 @@ class PressureOnDeformed(FollowingLoad):
         dim = self.body.dim
         if dim == 1:
             return []
-        if dim == 2:
-            change = np.einsum("ik,JL,fJ->fikL", _TURN, _TURN, self._facets.area)
-        else:
-            F = self._gradients(state)
-            change = np.einsum("ikb,JLN,fbN,fJ->fikL", _TURNS, _TURNS, F, self._facets.area, optimize=True)
+        change = np.einsum("fiJkL,fJ->fikL", cofactor_by_F(self._gradients(state)), self._facets.area)
         members, entry, of, row = by_component(self._facets.stencils, dim)
         g = np.einsum("ekL,eL->ek", change[of, row], self._G[entry])
         h = self._facets.N[entry, None] * np.eye(dim)[row]
         p = np.repeat(self._pressure(state.t), dim)
         return [RankOneProduct(members, self.body.cloud.n_owned, h, np.ascontiguousarray(g), p)]
-
-
-# Permutation symbols.
-_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
-_TURNS = np.zeros((3, 3, 3))
-_TURNS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _TURNS[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = 1.0, -1.0

@@ -104,6 +104,11 @@ class MaterialPoints(MaterialTerm):
         return last[2]
 
     @property
+    def small_strain(self) -> bool:
+        """Return True if all materials are those of small strain."""
+        return all(at_points.material.small_strain for at_points in self.materials)
+
+    @property
     def symmetric(self) -> bool:  # type: ignore[override]
         """Return True if the tangents of all materials are symmetric."""
         return all(at_points.material.symmetric for at_points in self.materials)

@@ -66,7 +66,7 @@ VALID = [
     pd.Clamp(region.All()), pd.Roller(region.All(), "x"), pd.PointSupport(region.All(), x=0.0),
     pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), pd.RigidSphere((0.0, 0.0), 1.0), pd.RigidBox((0.0, 0.0), (1.0, 1.0)),
     pd.RigidSurface([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), pd.RigidRegion("-x"), pd.FollowerPressure(region.All(), 1.0),
-    pd.ReactionMoment("-x", (0.0, 0.0)), pd.ArcLength(0.1, 1.0), pd.Centrifugal(region.All(), 1.0, (0.0,)), pd.Modes(2),
+    pd.ReactionMoment("-x", (0.0, 0.0)), pd.ArcLength(0.1, 1.0), pd.Centrifugal(region.All(), 1.0, (0.0,)), pd.CrackPressure(region.All(), 1.0), pd.Modes(2),
     pd.FrequencyResponse([1.0], ratio=0.1),
     pd.RigidCylinder((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0), pd.Contact(region.All(), pd.RigidSphere((0.0, 0.0), 1.0)),
     pd.Bodies({"a": pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)}), pd.BodyContact("a +y", "b -y"),

@@ -377,8 +377,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return [(part, part.history[:, : self.body.dim]) for part in parts]
 
     def keep(self, state: State) -> None:
-        """Commit the damage at a converged state (not collective)."""
+        """Commit the damage at a converged state (not collective).
+
+        A crack that began in a sweep, at a point that has not failed in the end, is forgotten.
+        """
         self.points.commit()
+        for part, _ in self._sliding_parts:
+            part.history[self.points.kappa[part.points] <= 1.0] = 0.0
 
     def commit(self, state: State) -> None:
         """Update the histories of materials and the slip of closed cracks at a converged state."""

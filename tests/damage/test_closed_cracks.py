@@ -165,6 +165,20 @@ def test_damage_that_is_undone_leaves_no_normal(rng):
     assert not normals.any()
 
 
+def test_a_point_that_has_not_failed_in_the_end_has_no_crack(rng):
+    """Crack and slip of a sweep are gone after the step, so that a later crack does not start with them."""
+    law = pd.PointDamage(pd.softening.Linear(), Gc=0.2, onset=0.02, split=pd.split.NoTension(friction=0.3))
+    model = damaged_body(2, law, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+    problem, u = model.problem, displacement(model, rng, 0.06)
+    problem.soften(problem.state(u))
+    part, normals = problem.damage._sliding_parts[0]
+    begun = int(normals.any(axis=1).sum())
+    problem.commit(problem.state(0.3 * u))
+    failed = problem.damage.points.kappa[part.points] > 1.0
+    assert failed.sum() < begun
+    assert not part.history[~failed].any()
+
+
 def test_two_halves_slide_against_friction_there_and_back(tmp_path):
     """The surfaces of the lattice are 1 % softer than the body at n = 20, half of that at n = 40."""
     found = results(CASE, "n=16", "steps=5", output=tmp_path)["results"]

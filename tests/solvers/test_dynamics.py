@@ -497,6 +497,21 @@ def test_rotation_is_no_deformation():
     assert since([[1.0, 0.0], [0.0, 1.0]]) == pytest.approx(0.25)
 
 
+def test_shear_is_a_deformation_without_an_edge():
+    """Pure shear by 0.2 changes distances along the axes by 0.02, and presses a diagonal to 0.8 of its length."""
+    case = bar(
+        pd.Explicit(end=1.0), particles=pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.125), horizon=0.3,
+        cell=pd.Cell((0.0, 0.0), (1.0, 1.0)), law=pd.LinearElastic(E=E, nu=0.2, density=RHO),
+        conditions=[pd.MeanStrain(xx=0.0, yy=0.0, xy=0.2)],
+    )  # fmt: skip
+    prepared = pd.prepare(case)
+    problem, cloud = prepared.problem, prepared.cloud
+    measure, u = stable_step.Deformation(problem.body, both=True), problem.supports.prescribed(1.0).copy()
+    u[: cloud.n_owned] = 0.2 * cloud.x[: cloud.n_owned, ::-1]
+    measure.since(problem.state(np.zeros_like(u), 0.0), begin=True)
+    assert measure.since(problem.state(u, 1.0), begin=False) == pytest.approx(0.25)
+
+
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_the_largest_frequency_is_an_upper_bound_close_to_the_exact_one(dim):
     n = {1: 20, 2: 6, 3: 4}[dim]

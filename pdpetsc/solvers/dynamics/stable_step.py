@@ -33,7 +33,8 @@ class Deformation:
 
     def __init__(self, body: Body, both: bool) -> None:
         cloud, self._body, self._both = body.cloud, body, both
-        near = min(1 + 2 * cloud.dim, cloud.n_local)
+        # Those of a lattice include its diagonals, which shear along the axes presses.
+        near = min(3**cloud.dim, cloud.n_local)
         found = scipy.spatial.cKDTree(cloud.x).query(cloud.x[: cloud.n_owned], near)[1] if cloud.n_owned else []
         self._near = np.asarray(found, dtype=np.int32).reshape(cloud.n_owned, near)
         self._length = np.ones(self._near.shape)

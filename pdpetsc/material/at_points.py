@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -248,6 +248,15 @@ class MaterialLaw:
     def energy(self, F: Float, psi: Float, only: Mask | None = None) -> None:
         """Write the energy density (all points,), likewise."""
         self.free.energy(self._evaluate("energy", *self.free.elastic(F), self.free.room(psi), only=only), psi)
+
+    def density_of(self, quantity: Callable[[Material, Float, Float], Float], F: Float, psi: Float) -> None:
+        """Write an energy density (all points,) at its points: ``quantity`` of the law, its F and history (n, ...)."""
+        part, select = self.free.elastic(F)
+        room = self.free.room(psi)
+        for law in self._laws:
+            rows = select[law.rows]
+            room[rows] = quantity(law.material, part[rows], self.of.history[law.rows])
+        self.free.energy(room, psi)
 
     def commit(self, F: Float) -> None:
         """Commit the state at F (all points, dim, dim) as the start of the next step."""

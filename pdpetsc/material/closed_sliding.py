@@ -43,20 +43,17 @@ class _Slip(NamedTuple):
     tau : (n, dim) float64
         Shear traction [stress].
     way : (n, dim) float64
-        Direction of the slip since the last converged step.
+        Direction of the slip without friction since the last converged step.
     most : (n,) float64
-        Amount of this slip without friction [-].
+        Amount of this slip [-].
     slides : (n,) bool
         Points that slip.
-    work : (n,) float64
-        Work of friction since the last converged step [energy / volume].
     """
 
     tau: Float
     way: Float
     most: Float
     slides: Mask
-    work: Float
 
 
 @dataclass(frozen=True)
@@ -64,9 +61,9 @@ class SlidingPart(HistoryMaterial):
     r"""The closed part of a crack with normal n, whose faces slip by s against Coulomb friction.
 
     Without friction the faces slip by ``s_0``, at which n is a principal direction of ``F_e = F (1 - s_0 (x) n)``; at
-    small strain ``F_e = F - s_0 (x) n``. The energy is then ``psi_closed(F_e)``, and the traction of the faces is their
-    pressure p. With friction the energy is ``psi_closed(F_e) + mu / 2 |s_0 - s|^2`` with the shear modulus mu. The
-    shear traction ``mu (s_0 - s)`` is at most ``friction p``, beyond which s follows ``s_0``. A slip is the
+    small strain ``F_e = F - s_0 (x) n``. The energy is then ``psi_closed(F_e)``, and the faces carry a pressure p
+    alone. With friction the energy is ``psi_closed(F_e) + mu / 2 |s_0 - s|^2`` with the shear modulus mu. The shear
+    traction ``tau = mu (s_0 - s)`` is at most ``friction p``, beyond which s follows ``s_0``. A slip is the
     displacement of one face along the other over the width of the band that the crack fails. A point without a crack
     has n = 0, and the energy ``psi_closed(F)``.
 
@@ -79,7 +76,7 @@ class SlidingPart(HistoryMaterial):
 
     Notes
     -----
-    The history of a point is n, s and the work of friction [energy / volume], which is part of its energy.
+    The history of a point is n and s. The work of friction is not part of the energy.
     """
 
     part: ClosedPart = field(kw_only=True)
@@ -101,7 +98,7 @@ class SlidingPart(HistoryMaterial):
         return self.friction == 0.0
 
     def initial_history(self, dim: int, n: int) -> Float:
-        return np.zeros((n, 2 * dim + 1))
+        return np.zeros((n, 2 * dim))
 
     def open_share(self, dim: int) -> float:
         """Return the open share of the energy in uniaxial tension [-]."""
@@ -131,20 +128,38 @@ class SlidingPart(HistoryMaterial):
             cracked = np.flatnonzero(_cracked(history, dim))
             smooth = self._smooth(F[select[cracked]], history[cracked])
             slip = self._slip(smooth, history[cracked])
-            history[cracked, dim : 2 * dim] = smooth.s - slip.tau / self._mu(dim)
-            history[cracked, -1] += slip.work
+            history[cracked, dim:] = smooth.s - slip.tau / self._mu(dim)
 
         return HistoryKernels(
             write(self._stress, loops.stress), write(self._tangent, loops.tangent), write(self._energy, loops.energy),
             commit,
         )  # fmt: skip
 
+    def slipped(self, F: Float, history: Float) -> Float:
+        """Return ``tau . s`` (n,) [energy / volume] for F (n, dim, dim) and the history of some points."""
+        tau, s, _ = self._shear(F, history)
+        return np.asarray((tau * s).sum(axis=1))
+
+    def rubbed(self, F: Float, history: Float) -> Float:
+        """Return the work of friction since the last converged step (n,) [energy / volume], as ``slipped``."""
+        tau, s, before = self._shear(F, history)
+        return np.asarray((tau * (s - before)).sum(axis=1))
+
+    def _shear(self, F: Float, history: Float) -> tuple[Float, Float, Float]:
+        """Return shear traction [stress], slip and slip of the last converged step (n, dim); 0 without a crack."""
+        dim, cracked = F.shape[-1], _cracked(history, F.shape[-1])
+        tau, s = np.zeros((2, len(F), dim))
+        smooth = self._smooth(F[cracked], history[cracked])
+        tau[cracked] = self._slip(smooth, history[cracked]).tau
+        s[cracked] = smooth.s - tau[cracked] / self._mu(dim)
+        return tau, s, history[:, dim:]
+
     def _energy(self, F: Float, history: Float) -> Float:
-        """Return stored energy plus the work of friction (n,)."""
+        """Return the stored energy (n,)."""
         dim, smooth = F.shape[-1], self._smooth(F, history)
         slip = self._slip(smooth, history)
         psi = _filled(self.part.kernels(dim).energy, smooth.F_e, (len(F),))
-        return np.asarray(psi + 0.5 * (slip.tau**2).sum(axis=1) / self._mu(dim) + history[:, -1] + slip.work)
+        return np.asarray(psi + 0.5 * (slip.tau**2).sum(axis=1) / self._mu(dim))
 
     def _stress(self, F: Float, history: Float) -> Float:
         """Return P (n, dim, dim)."""
@@ -158,7 +173,7 @@ class SlidingPart(HistoryMaterial):
         """Return dP/dF (n, dim, dim, dim, dim)."""
         dim, one = F.shape[-1], np.eye(F.shape[-1])
         smooth, mu = self._smooth(F, history), self._mu(F.shape[-1])
-        tau, way, most, slides, _ = self._slip(smooth, history)
+        tau, way, most, slides = self._slip(smooth, history)
         n, s, F_e, P = smooth.n, smooth.s, smooth.F_e, smooth.P
         A = _filled(self.part.kernels(dim).tangent, F_e, (len(F), *(dim,) * 4))
         ds, Pn = self._slip_by(F, smooth), np.einsum("pij,pj->pi", P, n)
@@ -213,14 +228,12 @@ class SlidingPart(HistoryMaterial):
     def _slip(self, smooth: _Smooth, history: Float) -> _Slip:
         """Return shear and slip with friction for the history of the last converged step."""
         dim = smooth.n.shape[1]
-        mu, way = self._mu(dim), smooth.s - history[:, dim : 2 * dim]
+        mu, way = self._mu(dim), smooth.s - history[:, dim:]
         most = np.linalg.norm(way, axis=1)
         way = way / np.where(most > 0.0, most, 1.0)[:, None]
         rubs = self.friction * np.maximum(-(smooth.t * smooth.n).sum(axis=1), 0.0)
         slides = mu * most > rubs
-        tau = np.where(slides, rubs, mu * most)
-        work = np.where(slides, rubs * (most - rubs / mu), 0.0)
-        return _Slip(tau[:, None] * way, way, most, slides, work)
+        return _Slip(np.where(slides, rubs, mu * most)[:, None] * way, way, most, slides)
 
     def _slip_by(self, F: Float, smooth: _Smooth) -> Float:
         """Return the derivative of the slip without friction by F (n, dim, dim, dim)."""

@@ -15,7 +15,7 @@ from pdpetsc.material.base import IsotropicMaterial, Material
 from pdpetsc.material.closed import ClosedPart, GreenClosed, LogarithmicClosed, Principal, SmallClosed
 from pdpetsc.material.closed_sliding import SlidingPart
 
-# Strain below which a crack is closed, so that round-off does not decide where faces just touch.
+# Strain below which a crack counts as closed: faces that just touch do so despite round-off.
 TOUCHING = 1e-13
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
@@ -21,6 +21,7 @@ from pdpetsc.kernels.gradient import residual_kernel
 from pdpetsc.kernels.principal_rows import symmetric_axes
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
+from pdpetsc.material.closed_sliding import SlidingPart
 from pdpetsc.material.point_laws import PointLaws
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import DamageModel
@@ -126,6 +127,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._volume = operator.sum_over_points(operator.volume)
         for crack in damage_laws.cracks:
             self._start_crack(crack)
+        # Work of friction in closed cracks [energy / volume], and the degradation factors at which it was computed.
+        self._rubbed = np.zeros(operator.n_points if self._slides else 0)
+        self._phi_of_work = self.points.phi.copy()
 
     def _start_crack(self, crack: Crack) -> None:
         """Let all points fail whose family a crack cuts along its normal (collective)."""
@@ -276,7 +280,17 @@ class DegradedPoints(MaterialPoints, DamageModel):
         Y = self.laws(state).energy(F) + self._unresolved_energy(state)
         if self._closed is not None:  # the closed part only lowers Y: far below the onset it does not matter
             Y = Y - self._closed.laws(state).energy(F, NEAR_ONSET**2 * self.points.onset_energy < Y)
+        if self._slides:
+            Y = Y - self._of_closed(SlidingPart.slipped, state)
         return Y
+
+    def _of_closed(self, quantity: Callable[[Any, Float, Float], Float], state: State) -> Float:
+        """Compute an energy density of the sliding closed parts (n_points,) from F and history (collective)."""
+        assert self._closed is not None
+        found = np.zeros(self.operator.n_points)
+        for law in self._closed.laws(state).materials:
+            law.density_of(quantity, self.deformation(state), found)
+        return found
 
     def _unresolved_energy(self, state: State) -> Float:
         """Compute the part of Y that does not depend on F: ``psi_control`` (n_points,) [energy / volume]."""
@@ -285,9 +299,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return np.asarray((self._control.family_energy(state.u_local) / self._volume)[self.operator.owner])
 
     def _followed(self, state: State) -> tuple[Float, Float, Float, Float]:
-        """Return largest drives, final drives and degradation factors (n_points,) at a state (collective).
+        """Return largest drives, final drives, degradation factors (n_points,) and normals at a state (collective).
 
-        The last value are the normals (n_points, dim) of the cracks that begin, zero at other points; no rows if no
+        The last value holds the normals (n_points, dim) of the cracks that begin, zero at other points; no rows if no
         closed part reads them.
 
         The width of a family is that normal to the crack that begins when damage is first accepted beyond the onset. It
@@ -388,8 +402,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def commit(self, state: State) -> None:
         """Update the histories of materials and the slip of closed cracks at a converged state."""
         super().commit(state)
-        if self._closed is not None and self._slides:
-            self._closed.laws(state).commit(self.deformation(state))
+        if self._closed is None or not self._slides:
+            return
+        # A point that fails further has slipped with all of its faces, at the friction of the present state.
+        phi = self.points.phi
+        self._rubbed += (1.0 - phi) * self._of_closed(SlidingPart.rubbed, state)
+        self._rubbed += (self._phi_of_work - phi) * self._of_closed(SlidingPart.slipped, state)
+        self._phi_of_work = phi.copy()
+        self._closed.laws(state).commit(self.deformation(state))
 
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""
@@ -458,12 +478,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return failed, soft[:, None, None, None, None] * symmetric
 
     def point_energy(self, state: State) -> Float:
-        """Compute ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
+        """Compute ``phi psi_open + psi_closed`` and the work of friction (n_points,) [energy / volume]."""
         F = self.deformation(state)
         psi = self._degraded(state, lambda laws, only: laws.energy(F, only))
         failed, soft, strain = self._residual(state)
         psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
-        return psi
+        return psi + self._rubbed if self._slides else psi
 
     def _degraded(self, state: State, of: Callable[[PointLaws, Mask | None], Float]) -> Float:
         """Compute ``phi (whole - closed) + closed`` of a quantity of the points (n_points, ...).
@@ -607,6 +627,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return {
             **super().arrays(),
             **{f"closed_{name}": array for name, array in closed.items()},
+            **({"work_of_friction": KeptArray(owner, self._rubbed)} if self._slides else {}),
             "phi": KeptArray(owner, points.phi, 0.0, 1.0),
             "largest_drive": KeptArray(owner, points.kappa, 0.0),
             "final_drive": KeptArray(owner, points.final, 1.0),
@@ -617,6 +638,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         super().restored()
         self.points.largest[:] = self.points.kappa
         self.points.commit()
+        self._phi_of_work = self.points.phi.copy()
         self.conduction_version += 1
 
 

@@ -46,6 +46,7 @@ SECOND, LEAST, MOST_STEPS = 10, 5, 1000
 # The number of time steps between estimates is halved if the frequency grows by more than this part of what the safety
 # allows, and multiplied if it grows less.
 GROWS, RESTS, LENGTHENED = 0.25, 0.125, 4
+LEAST_ALLOWED = 0.04
 # Time steps between checks of the deformation, and the part of what the safety allows at which the frequency is
 # estimated.
 CHECKED_SHAPE, DEFORMS = 4, 0.5
@@ -138,7 +139,7 @@ class ExplicitSolver(Solver):
         interval = int(resume.get(INTERVAL, SECOND))
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         # The growth of the largest frequency that the safety allows.
-        allowed = 1.0 / declared.safety - 1.0
+        allowed = max(1.0 / declared.safety - 1.0, LEAST_ALLOWED)
         deformation = Deformation(problem.body, problem.damage is None) if self._changes else None
         deformed = resume.get(DEFORMED, 0.0)
         if deformation is not None:

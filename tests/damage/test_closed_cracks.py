@@ -287,6 +287,22 @@ def test_cracks_have_normals(crack, normal):
     assert crack.normals(x[:0]).shape == (0, len(normal))
 
 
+def test_cracks_at_the_start_have_not_dissipated(tmp_path):
+    """Two cracks that cross, and one of another direction."""
+    cracks = [
+        pd.Segment((-1.0, 0.0), (1.0, 0.0)),
+        pd.Segment((0.0, -1.0), (0.0, 1.0)),
+        pd.Segment((2.0, 2.0), (3.0, 3.0)),
+    ]
+    case = sliding_case(n=30, horizon=2.015)
+    case = dataclasses.replace(
+        case, damage=dataclasses.replace(case.damage, cracks=cracks), history={"dissipated": pd.DissipatedEnergy()}
+    )
+    run = pd.run(case, tmp_path)
+    assert (run.history["dissipated"] == 0.0).all()
+    assert (run.solution.problem.damage.points.phi == 0.0).sum() > 100
+
+
 def test_a_crack_beside_the_body_is_refused(tmp_path):
     law = pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.1, cracks=[pd.Segment((20.0, 0.0), (21.0, 0.0))])
     case = dataclasses.replace(sliding_case(n=20), damage=law)

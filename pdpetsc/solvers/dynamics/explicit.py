@@ -44,9 +44,8 @@ FIRST = 1e-3
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
 # The number of time steps between estimates is halved if the frequency grows by more than this part of what the safety
-# allows, and multiplied if it grows less.
-GROWS, RESTS, LENGTHENED = 0.25, 0.125, 4
-LEAST_ALLOWED = 0.04
+# allows, and multiplied if it grows less. The safety allows a growth by at least LEAST_ALLOWED.
+GROWS, RESTS, LENGTHENED, LEAST_ALLOWED = 0.25, 0.125, 4, 0.04
 # Time steps between checks of the deformation, and the part of what the safety allows at which the frequency is
 # estimated.
 CHECKED_SHAPE, DEFORMS = 4, 0.5

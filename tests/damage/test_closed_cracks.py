@@ -300,7 +300,7 @@ def test_cracks_at_the_start_have_not_dissipated(tmp_path):
     )
     run = pd.run(case, tmp_path)
     assert (run.history["dissipated"] == 0.0).all()
-    assert (run.solution.problem.damage.points.phi == 0.0).sum() > 100
+    assert (run.solution.problem.damage.points.phi == 0.0).sum() > 40
 
 
 def test_a_crack_beside_the_body_is_refused(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import scipy
@@ -84,19 +85,19 @@ def _without_null_functions(null_space: PETSc.NullSpace, x: PETSc.Vec, system: C
     x.setArray(system.without_null_functions(values).ravel())
 
 
+@contextmanager
 def solve_conforming(
-    system: ConformingSystem, near: NearInverse, rhs: Float, rtol: float, options: Options | None = None
-) -> tuple[Float, int]:
-    """Solve the system of conforming weights for all components; return the multipliers and iterations.
+    system: ConformingSystem, near: NearInverse, options: Options | None = None
+) -> Iterator[Callable[[Float, float], tuple[Float, int]]]:
+    """Provide a function that solves the system of conforming weights for all components.
+
+    It takes a right-hand side (n_owned, dim) and the relative tolerance of its residual, and returns the multipliers
+    and the number of iterations.
 
     Parameters
     ----------
     near : NearInverse
         Approximate inverse.
-    rhs : (n_owned, dim) float64
-        Right-hand side.
-    rtol : float
-        Relative tolerance of the residual.
     options : Options, optional
         Options of the run, which may change the preconditioner; by default only those of the command line.
 
@@ -118,16 +119,20 @@ def solve_conforming(
     operator.setNullSpace(null_space)
     ksp = PETSc.KSP().create(comm=cloud.comm)
     b, x = operator.createVecs()
+
+    def solve(rhs: Float, rtol: float) -> tuple[Float, int]:
+        ksp.setTolerances(rtol=rtol, atol=0.0, max_it=near.most)
+        b.setArray(rhs.ravel())
+        ksp.solve(b, x)
+        return np.array(x.array_r).reshape(rhs.shape), ksp.getIterationNumber()
+
     try:
         ksp.setType("cg")
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         ksp.setOperators(operator)
         ksp.getPC().setType("python")
         ksp.getPC().setPythonContext(_Preconditioner(near, cloud.comm, Options({}) if options is None else options))
-        ksp.setTolerances(rtol=rtol, atol=0.0, max_it=near.most)
-        b.setArray(rhs.ravel())
-        ksp.solve(b, x)
-        return np.array(x.array_r).reshape(rhs.shape), ksp.getIterationNumber()
+        yield solve
     finally:
         for thing in (ksp, b, x, operator, null_space):
             thing.destroy()

@@ -80,7 +80,7 @@ def test_a_crack_opens_as_in_closed_form(tmp_path):
 @pytest.mark.parametrize("angle", [0, 30])
 def test_the_opening_of_a_crack_converges(angle, tmp_path):
     found = results(CASE, "n=160", f"angle={angle}", output=tmp_path)["results"]
-    assert found["volume_over_exact"] == pytest.approx(1.01, abs=0.02)
+    assert found["volume_over_exact"] == pytest.approx(1.0, abs=0.03)
 
 
 def test_ranks_alike(tmp_path):

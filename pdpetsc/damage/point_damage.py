@@ -292,7 +292,7 @@ class FailingPoints:
     def start_failed(self, points: GlobalIndex) -> None:
         """Let points fail before the first step, without dissipation."""
         self.largest[points], self.phi[points] = self.final[points], 0.0
-        self._at_start = self._at_start + self.dissipated()
+        self._at_start += self.dissipated()
         self.commit()
 
     def final_of(self, points: GlobalIndex, energy: Float) -> Float:

@@ -83,6 +83,7 @@ class Segment(Crack):
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the segment."""
+        _same(x, 2, "Segment")
         along = _point(self.end, 2, "Segment") - _point(self.start, 2, "Segment")
         return _repeated([-along[1], along[0]], x)
 
@@ -115,6 +116,7 @@ class Polyline(Crack):
 
     def normals(self, x: Float) -> Float:
         """Return the normals of the nearest segments."""
+        _same(x, 2, "Polyline")
         nearest = np.argmin([segment._distance(x) for segment in self._segments], axis=0)
         normals = np.array([segment.normals(x[:1])[0] for segment in self._segments]) if len(x) else np.zeros((1, 2))
         return np.asarray(normals[nearest])
@@ -145,7 +147,7 @@ class PlaneCrack(Crack):
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the plane."""
-        return _repeated(self.normal, x)
+        return _repeated(_point(self.normal, x.shape[1], "crack"), x)
 
 
 @dataclass(frozen=True)
@@ -176,6 +178,7 @@ class Disc(Crack):
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the disc."""
+        _same(x, 3, "Disc")
         return _repeated(self.normal, x)
 
 
@@ -211,6 +214,7 @@ class PolygonCrack(Crack):
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the polygon."""
+        _same(x, 3, "PolygonCrack")
         corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
         return _repeated(np.cross(corners[1] - corners[0], corners[2] - corners[0]), x)
 

@@ -133,12 +133,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _start_crack(self, crack: Crack) -> None:
         """Let all points fail whose family a crack cuts along its normal (collective)."""
-        points, x = np.flatnonzero(~self.points.spared), self.body.cloud.x
+        points, places = np.flatnonzero(~self.points.spared), self.body.cloud.places
+        x = self.body.cloud.x[self.operator.owner[points]]
+        cut, normal = np.zeros(len(points), dtype=bool), np.zeros_like(x)
         with agreed(self.body.cloud.comm):
-            normal = crack.normals(x[self.operator.owner[points]])
-            half = 0.5 * self._width(points, normal)[:, None] * normal
-            place = x[self.operator.owner[points]]
-            cut = crack.cuts(place - half, place + half)
+            # Images of the crack in a periodic cell and behind mirror planes.
+            for sign, shift in zip(places.sign, places.shift, strict=True):
+                along = sign * crack.normals(sign * (x - shift))
+                low, high = (x + reach[:, None] * along for reach in self._reaches(points, along))
+                here = crack.cuts(sign * (low - shift), sign * (high - shift)) & ~cut
+                cut[here], normal[here] = True, along[here]
         points, normal = points[cut], normal[cut]
         if not int(total(self.body.cloud.comm, len(points))):
             raise CaseError(f"The {type(crack).__name__} in cracks of PointDamage cuts no family. Put it in the body.")
@@ -196,15 +200,23 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
         With a control the stencil is the whole family of the particle: the energy of its control drives all its points.
         """
-        found = np.zeros(len(points))
+        low, high = self._reaches(points, along)
+        return np.asarray(high - low)
+
+    def _reaches(self, points: GlobalIndex, along: Float) -> tuple[Float, Float]:
+        """Compute how far the stencils of some points reach from their particles against and along directions (n, dim).
+
+        Both are (n,) [length], the first one not positive.
+        """
+        low, high = np.zeros((2, len(points)))
         for begin in range(0, len(points), MOST_LISTED):
             some = slice(begin, begin + MOST_LISTED)
             stencils = self._driving_stencils(points[some])
             size, first, x = np.diff(stencils.point_ptr), stencils.point_ptr[:-1], self.body.cloud.x
-            xi = x[stencils.members] - np.repeat(x[stencils.owner], size, axis=0)
+            xi = x[stencils.members] - np.repeat(x[self.operator.owner[points[some]]], size, axis=0)
             reach = np.einsum("ei,ei->e", xi, np.repeat(along[some], size, axis=0))
-            found[some] = np.maximum.reduceat(reach, first) - np.minimum.reduceat(reach, first)
-        return found
+            low[some], high[some] = np.minimum.reduceat(reach, first), np.maximum.reduceat(reach, first)
+        return low, high
 
     def _driving_stencils(self, points: GlobalIndex) -> StencilMembers:
         """Return the particles whose displacements drive some points, those of the points first (not collective)."""

@@ -287,22 +287,6 @@ def test_cracks_have_normals(crack, normal):
     assert crack.normals(x[:0]).shape == (0, len(normal))
 
 
-def test_cracks_at_the_start_have_not_dissipated(tmp_path):
-    """Two cracks that cross, and one of another direction."""
-    cracks = [
-        pd.Segment((-1.0, 0.0), (1.0, 0.0)),
-        pd.Segment((0.0, -1.0), (0.0, 1.0)),
-        pd.Segment((2.0, 2.0), (3.0, 3.0)),
-    ]
-    case = sliding_case(n=30, horizon=2.015)
-    case = dataclasses.replace(
-        case, damage=dataclasses.replace(case.damage, cracks=cracks), history={"dissipated": pd.DissipatedEnergy()}
-    )
-    run = pd.run(case, tmp_path)
-    assert (run.history["dissipated"] == 0.0).all()
-    assert (run.solution.problem.damage.points.phi == 0.0).sum() > 40
-
-
 def test_a_crack_beside_the_body_is_refused(tmp_path):
     law = pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.1, cracks=[pd.Segment((20.0, 0.0), (21.0, 0.0))])
     case = dataclasses.replace(sliding_case(n=20), damage=law)
@@ -344,3 +328,70 @@ def test_cycles_of_slip_neither_fail_nor_spare_a_half_failed_crack(tmp_path):
         assert balance == pytest.approx(h["work"][before], rel=0.02)
         found.append((max(h["force_y"][-8:]), h["dissipated"][-1]))
     assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+def with_cracks(*cracks, dim=2, n=10, scheme=None, **words):
+    """Return a unit body, clamped and pulled along x, with cracks at the start."""
+    given = {
+        "particles": pd.Lattice((0.0,) * dim, (1.0,) * dim, 1.0 / n),
+        "horizon": 2.015 / n,
+        "material": pd.LinearElastic(E=1.0, nu=0.2),
+        "damage": pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.1, cracks=cracks),
+        "conditions": [pd.Clamp("-x"), pd.Displacement("+x", x=1e-3)],
+        "steps": pd.Steps(1),
+        "history": {"force": pd.Reaction("x", "+x"), "dissipated": pd.DissipatedEnergy()},
+    }
+    return pd.Case(**(given | ({} if scheme is None else {"scheme": scheme}) | words))
+
+
+def test_several_cracks_at_the_start_have_not_dissipated(tmp_path):
+    cracks = [pd.Segment((0.2, y), (0.6, y)) for y in (0.2, 0.5, 0.8)]
+    crossing = pd.Segment((0.4, 0.3), (0.4, 0.7))
+    found = pd.run(with_cracks(*cracks, crossing), tmp_path).history["dissipated"]
+    assert found == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons(), pd.SubHorizons(4)])
+def test_a_crack_through_the_body_carries_no_tension(scheme, tmp_path):
+    """Also if families reach to one side of their particles."""
+    found = pd.run(with_cracks(pd.PlaneCrack((0.5, 0.0), (1.0, 0.0)), scheme=scheme), tmp_path)
+    assert abs(found.history["force"][-1]) < 1e-5
+
+
+def test_a_crack_at_the_edge_of_a_periodic_cell_fails_both_sides(tmp_path):
+    found = []
+    for k, at in enumerate((0.5, 0.0)):
+        case = with_cracks(
+            pd.PlaneCrack((at, 0.0), (1.0, 0.0)),
+            cell=pd.Cell((0.0, 0.0), (1.0, 1.0), axes="x"),
+            conditions=[pd.PointSupport(pd.region.All(), x=0.0, y=0.0), pd.MeanStrain(xx=1e-3)],
+            history={"stored": pd.StrainEnergy()},
+        )
+        result = pd.run(case, tmp_path / str(k))
+        found.append(result.history["stored"][-1])
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def test_a_crack_behind_a_mirror_plane_is_that_of_the_whole_body(tmp_path):
+    one, image = (pd.Segment((0.5 + sign * 0.03, 0.2), (0.5 + sign * 0.3, 0.8)) for sign in (1.0, -1.0))
+    ends = [pd.Displacement("+x", x=1e-3), pd.Displacement("-x", x=-1e-3), pd.PointSupport(pd.region.All(), y=0.0)]
+    history = {"stored": pd.StrainEnergy()}
+    whole = pd.run(with_cracks(one, image, conditions=ends, history=history), tmp_path / "whole")
+    half = with_cracks(
+        one, particles=pd.Lattice((0.5, 0.0), (1.0, 1.0), 0.1), symmetry=[pd.Symmetry("x", 0.5)],
+        conditions=[ends[0], ends[2]], history=history,
+    )  # fmt: skip
+    of_half = pd.run(half, tmp_path / "half").history["stored"][-1]
+    assert 2.0 * of_half == pytest.approx(whole.history["stored"][-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("dim, crack", [
+    (3, pd.Segment((0.5, 0.0), (0.5, 1.0))),
+    (3, pd.Polyline([(0.5, 0.0), (0.5, 0.4), (0.5, 1.0)])),
+    (2, pd.Disc((0.5, 0.5, 0.0), (1.0, 0.0, 0.0), 0.4)),
+    (2, pd.PolygonCrack([(0.5, 0.0, 0.0), (0.5, 1.0, 0.0), (0.5, 0.0, 1.0)])),
+    (2, pd.PlaneCrack((0.5, 0.0, 0.0), (1.0, 0.0, 0.0))),
+])  # fmt: skip
+def test_a_crack_of_another_dimension_is_refused(dim, crack, tmp_path):
+    with pytest.raises(pd.CaseError, match=r"requires a body|needs points of"):
+        pd.run(with_cracks(crack, dim=dim, n=5), tmp_path)

@@ -145,7 +145,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
                 cut[here], normal[here] = True, along[here]
         points, normal = points[cut], normal[cut]
         if not int(total(self.body.cloud.comm, len(points))):
-            raise CaseError(f"The {type(crack).__name__} in cracks of PointDamage cuts no family. Put it in the body.")
+            raise CaseError(
+                f"The {type(crack).__name__} in cracks of PointDamage cuts no family of a point that may fail. Put it "
+                f"in the body, outside protected regions."
+            )
         self.points.final[points] = self._final(points, normal)
         self.points.start_failed(points)
         everywhere = np.zeros((self.operator.n_points, self.body.dim))

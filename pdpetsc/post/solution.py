@@ -18,6 +18,7 @@ from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.terms.following_load import FollowingLoad
 from pdpetsc.terms.heat import Heat
 
 
@@ -154,7 +155,10 @@ class Solution:
         cell = self.problem.supports.cell
         assert cell is not None
         stress = np.zeros((self.problem.dim, self.problem.dim))
-        for (a, b), value in zip(cell.components, cell.mean_stress(self.internal_force), strict=True):
+        # A fluid in cracks and holes across the edge of the cell carries its part.
+        fluids = [term for term in self.problem.terms if isinstance(term, FollowingLoad)]
+        forces = self.internal_force + self.problem.force_of(fluids, self.state)
+        for (a, b), value in zip(cell.components, cell.mean_stress(forces), strict=True):
             stress[a, b] = stress[b, a] = value
         return stress
 

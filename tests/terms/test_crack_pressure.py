@@ -96,3 +96,28 @@ def test_cracks_of_broken_bonds_have_no_such_pressure(tmp_path):
     )
     with pytest.raises(pd.CaseError, match="Declare damage by PointDamage"):
         pd.run(case, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["linear_elastic", "hencky"])
+def test_the_mean_stress_of_a_cell_includes_the_fluid(name, tmp_path):
+    """Wherever the edge of the cell cuts the crack."""
+    found = []
+    for k, at in enumerate((0.0, -0.5)):
+        case = pd.Case(
+            particles=pd.Lattice((-0.5, -0.5), (0.5, 0.5), 0.1),
+            cell=pd.Cell((-0.5, -0.5), (0.5, 0.5)),
+            horizon=0.2015,
+            material=MATERIALS[name],
+            damage=pd.PointDamage(pd.softening.Linear(), Gc=1.0, onset=0.1, cracks=[pd.Segment((-0.2, at), (0.2, at))]),
+            conditions=[
+                pd.CrackPressure(pd.region.All(), 1e-3 * MATERIALS[name].E),
+                pd.PointSupport(pd.region.All(), x=0.0, y=0.0),
+                pd.MeanStress(xx=0.0, yy=2e-4 * MATERIALS[name].E, xy=0.0),
+            ],
+            steps=pd.Steps(1),
+            history={"stress": pd.CellStress("yy"), "strain": pd.CellStrain("yy")},
+        )
+        found.append(pd.run(case, tmp_path / str(k)).history)
+    for history in found:
+        assert history["stress"][-1] == pytest.approx(2e-4 * MATERIALS[name].E, rel=1e-6)
+    assert found[1]["strain"][-1] == pytest.approx(found[0]["strain"][-1], rel=1e-6)

@@ -264,6 +264,8 @@ class FailingPoints:
         Softening curves.
     onset_energy : (n_points,) float64
         ``Y_0`` [energy / volume].
+    dim : int
+        Dimension of the body.
 
     Attributes
     ----------
@@ -274,6 +276,8 @@ class FailingPoints:
     largest : (n_points,) float64
         Largest drive including the state of the last update of damage; a later state of the same load step may reduce
         it [-].
+    normal : (n_points, dim) float64
+        Unit normal of the crack of each point whose damage has begun, zero at other points.
     frozen : bool
         True if the degradation factor is constant while the displacement changes.
     slack : float
@@ -281,16 +285,17 @@ class FailingPoints:
         further loading [-].
     """
 
-    def __init__(self, curves: CurvesAtPoints, onset_energy: Float) -> None:
+    def __init__(self, curves: CurvesAtPoints, onset_energy: Float, dim: int) -> None:
         n = len(onset_energy)
         self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
         self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
-        self.frozen, self.slack = False, 0.0
+        self.normal, self.frozen, self.slack = np.zeros((n, dim)), False, 0.0
         self._at_start = np.zeros(n)
         self.commit()
 
-    def start_failed(self, points: GlobalIndex) -> None:
-        """Let points fail before the first step, without dissipation."""
+    def start_failed(self, points: GlobalIndex, normal: Float) -> None:
+        """Let points fail before the first step, without dissipation, with cracks of normals (n, dim)."""
+        self.normal[points] = normal
         self.largest[points], self.phi[points] = self.final[points], 0.0
         self._at_start += self.dissipated()
         self.commit()
@@ -307,12 +312,18 @@ class FailingPoints:
     def commit(self) -> None:
         """Store the present state as that of a converged step."""
         self.kappa[:] = self.largest
+        self._forget()
         self._committed = self.phi.copy(), self.final.copy()
 
     def revert(self) -> None:
         """Restore the state of the last ``commit``."""
         self.phi[:], self.final[:] = self._committed
         self.largest[:] = self.kappa
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the cracks of points whose damage has not begun at the last converged step."""
+        self.normal[self.kappa <= 1.0] = 0.0
 
     def following(self, x: Float) -> tuple[Float, Mask, Float]:
         """Return ``phi`` at drives x, a mask of points whose damage grows, and ``dphi/dx`` there (n_points,)."""

@@ -487,10 +487,11 @@ class FollowerPressure(SurfacePressure):
 class CrackPressure(SurfacePressure):
     """Pressure of a fluid on the faces of cracks of ``PointDamage``.
 
-    Points carry the stress ``-(1 - phi) p cof F`` besides their own, ``-(1 - phi) p`` at small strain: failed points
-    press the faces of the crack apart, with the degradation factor phi. It follows the deformation, with its exact
-    tangent, which is not symmetric while points fail. The pressure does not drive the damage by itself, so that
-    strength and Gc are those of the dry body. Its resultant is zero.
+    With the degradation factor phi and the normal n of the crack a point carries the stress
+    ``-(1 - phi) p (m (x) m) cof F``, ``m = cof(F) n / |cof(F) n|``, besides its own; at small strain
+    ``-(1 - phi) p n (x) n``. It presses the faces of the crack apart and follows the deformation, with its exact
+    tangent, which is not symmetric while points fail. It does not enter the drive of the damage, so that strength and
+    Gc are those of the dry body. Its resultant is zero. The thickness of a plane body does not change.
 
     Parameters
     ----------

@@ -18,7 +18,9 @@ from pdpetsc.terms.following_load import FollowingLoad
 
 
 class CrackPressureLoad(FollowingLoad):
-    """Apply ``-G^T W p (1 - phi) cof F``, at small strain ``-G^T W p (1 - phi)``.
+    """Apply ``-G^T W p (1 - phi) (m (x) m) cof F`` with the normal ``m = cof(F) n / |cof(F) n|`` of the deformed crack.
+
+    At small strain the stress is ``-p (1 - phi) n (x) n``. Pressed areas are ``cof(F) n``, and moments balance.
 
     Parameters
     ----------
@@ -62,20 +64,41 @@ class CrackPressureLoad(FollowingLoad):
             found[self._acts] = self._declared.values(self._x[self._acts], state.t)
         return found
 
-    def _cofactor(self, state: State) -> Float:
-        """Return ``cof F``, 1 at small strain (n_points, dim, dim)."""
-        F = self._points.point_gradient(state)
-        return np.broadcast_to(np.eye(F.shape[-1]), F.shape) if self._points.small_strain else cofactor(F)
+    def _normals(self, state: State) -> tuple[Float, Float, Float]:
+        """Return ``cof F`` (n_points, dim, dim), m (n_points, dim), and ``|cof(F) n|`` or 1 (n_points,)."""
+        cof = cofactor(self._points.point_gradient(state))
+        area = np.einsum("pij,pj->pi", cof, self._points.points.normal)
+        size = np.linalg.norm(area, axis=1)
+        size[size == 0.0] = 1.0
+        return cof, area / size[:, None], size
+
+    def _pressed(self, state: State) -> Float:
+        """Return ``(m (x) m) cof F`` (n_points, dim, dim) [-]."""
+        if self._points.small_strain:
+            n = self._points.points.normal
+            return np.asarray(n[:, :, None] * n[:, None, :])
+        cof, m, _ = self._normals(state)
+        return np.asarray(np.einsum("pi,pa,pam->pim", m, m, cof))
+
+    def _pressed_by(self, state: State) -> Float:
+        """Return its derivative by F (n_points, dim, dim, dim, dim)."""
+        cof, m, size = self._normals(state)
+        by_F = cofactor_by_F(self._points.point_gradient(state))
+        turned = np.einsum("pajkl,pj->pakl", by_F, self._points.points.normal) / size[:, None, None, None]
+        turned = turned - np.einsum("pi,pa,pakl->pikl", m, m, turned)  # m by F
+        along = np.einsum("pa,pam->pm", m, cof)
+        change = np.einsum("pikl,pm->pimkl", turned, along)
+        change += np.einsum("pi,pakl,pam->pimkl", m, turned, cof) + np.einsum("pi,pa,pamkl->pimkl", m, m, by_F)
+        return np.asarray(change)
 
     def add_force(self, state: State, f: Float) -> None:
         share = self._pressure(state) * (1.0 - self._points.driven(state).phi)
-        self._points.operator.divergence(-share[:, None, None] * self._cofactor(state), f)
+        self._points.operator.divergence(-share[:, None, None] * self._pressed(state), f)
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the stiffness of the pressure and, unless damage is held, the change of the pressed faces."""
         points, p, found = self._points, self._pressure(state), list[Product]()
         if not points.small_strain:
-            share = p * (1.0 - points.driven(state).phi)
-            by_F = -share[:, None, None, None, None] * cofactor_by_F(points.point_gradient(state))
-            found.append(PointProduct(points.operator, Moduli(by_F)))
-        return found if points.frozen else [*found, points.softened(state, p[:, None, None] * self._cofactor(state))]
+            share = (p * (1.0 - points.driven(state).phi))[:, None, None, None, None]
+            found.append(PointProduct(points.operator, Moduli(-share * self._pressed_by(state))))
+        return found if points.frozen else [*found, points.softened(state, p[:, None, None] * self._pressed(state))]

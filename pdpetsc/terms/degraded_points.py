@@ -117,7 +117,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
-        self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
+        self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner], body.dim)
         self._refuse_strength()
         # Without strain, the width of a family along the first axis replaces that along the largest strain.
         everything = np.arange(operator.n_points)
@@ -150,16 +150,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
                 f"in the body, outside protected regions."
             )
         self.points.final[points] = self._final(points, normal)
-        self.points.start_failed(points)
-        everywhere = np.zeros((self.operator.n_points, self.body.dim))
-        everywhere[points] = normal
-        self._direct(everywhere)
+        self.points.start_failed(points, normal)
+        self._direct()
 
-    def _direct(self, normal: Float) -> None:
-        """Store the normals (n_points, dim) of cracks that begin, zero at other points, for faces that slide."""
-        for part, normals in self._sliding_parts:
-            begun = normal[part.points].any(axis=1)
-            normals[begun] = normal[part.points][begun]
+    def _direct(self) -> None:
+        """Tell closed parts whose faces slide the normals of the cracks."""
+        for part in self._sliding_parts:
+            part.history[:, : self.body.dim] = self.points.normal[part.points]
 
     def _refuse_strength(self) -> None:
         """Raise CaseError if points would store more energy at the onset than the crack may dissipate (collective)."""
@@ -316,20 +313,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _followed(self, state: State) -> tuple[Float, Float, Float, Float]:
         """Return largest drives, final drives, degradation factors (n_points,) and normals at a state (collective).
 
-        The last value holds the normals (n_points, dim) of the cracks that begin, zero at other points; no rows if no
-        closed part reads them.
+        The last value holds the normals (n_points, dim) of the cracks that begin, zero at other points.
 
         The width of a family is that normal to the crack that begins when damage is first accepted beyond the onset. It
         is fixed for the rest of the load step. Otherwise sweeps and Newton might alternate between two directions.
         """
         points, x = self.points, self.driven(state).x
-        final, normal = points.final.copy(), np.zeros((points.final.size if self._slides else 0, self.body.dim))
+        final, normal = points.final.copy(), np.zeros_like(points.normal)
         ahead = np.flatnonzero((points.largest <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
             across = self._across(state, ahead, x)
             final[ahead] = self._final(ahead, across)
-            if self._slides:
-                normal[ahead] = np.where(x[ahead, None] > 1.0, across, 0.0)
+            normal[ahead] = np.where(x[ahead, None] > 1.0, across, 0.0)
         kappa = np.maximum(points.kappa, x)
         return kappa, final, points.phi_of(kappa, final), normal
 
@@ -388,8 +383,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points = self.points
         before = points.phi.copy()
         points.largest[:], points.final[:], points.phi[:], normal = self._followed(state)
-        if self._slides:
-            self._direct(normal)
+        begun = normal.any(axis=1)
+        points.normal[begun] = normal[begun]
+        self._direct()
         change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
         self.conduction_version += change > 0.0
         return change
@@ -400,10 +396,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self._closed is not None and self._closed.has_history
 
     @property
-    def _sliding_parts(self) -> list[tuple[MaterialAtPoints, Float]]:
-        """Return the closed parts whose faces slide, with the normals in their history (n, dim)."""
-        parts = self._closed.materials if self._closed is not None and self._slides else []
-        return [(part, part.history[:, : self.body.dim]) for part in parts]
+    def _sliding_parts(self) -> list[MaterialAtPoints]:
+        """Return the closed parts whose faces slide."""
+        return self._closed.materials if self._closed is not None and self._slides else []
 
     def keep(self, state: State) -> None:
         """Commit the damage at a converged state (not collective).
@@ -411,7 +406,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         A crack that began in a sweep, at a point that has not failed in the end, is forgotten.
         """
         self.points.commit()
-        for part, _ in self._sliding_parts:
+        for part in self._sliding_parts:
             part.history[self.points.kappa[part.points] <= 1.0] = 0.0
 
     def commit(self, state: State) -> None:
@@ -429,21 +424,20 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""
         self.points.revert()
-        for part, normals in self._sliding_parts:
-            normals[self.points.kappa[part.points] <= 1.0] = 0.0
+        self._direct()
         self.conduction_version += 1
         return False
 
     def stored(self) -> tuple[Float, ...]:
         """Return a copy of degradation factors, largest and final drives, and normals (not collective)."""
-        normals = [normals.copy() for _, normals in self._sliding_parts]
-        return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy(), *normals
+        points = self.points
+        return points.phi.copy(), points.largest.copy(), points.final.copy(), points.normal.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Restore stored values (not collective)."""
-        self.points.phi[:], self.points.largest[:], self.points.final[:], *kept = stored
-        for (_, normals), before in zip(self._sliding_parts, kept, strict=True):
-            normals[:] = before
+        points = self.points
+        points.phi[:], points.largest[:], points.final[:], points.normal[:] = stored
+        self._direct()
         self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
@@ -646,6 +640,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
             "phi": KeptArray(owner, points.phi, 0.0, 1.0),
             "largest_drive": KeptArray(owner, points.kappa, 0.0),
             "final_drive": KeptArray(owner, points.final, 1.0),
+            "crack_normal": KeptArray(owner, points.normal, -1.0, 1.0),
         }
 
     def restored(self) -> None:

@@ -140,7 +140,7 @@ def test_the_tangent_of_a_cracked_body_is_that_of_differences(name, friction, rn
     problem.soften(problem.state(u))
     problem.commit(problem.state(u))
     damage = problem.damage
-    normals = damage._sliding_parts[0][1]
+    normals = damage.points.normal
     assert normals.any(axis=1).sum() > 5
     problem.freeze(True)
     u = -0.5 * u + displacement(model, rng, 0.02)
@@ -155,7 +155,7 @@ def test_damage_that_is_undone_leaves_no_normal(rng):
     problem, u = model.problem, displacement(model, rng, 0.06)
     stored = problem.damage.stored()
     problem.soften(problem.state(u))
-    normals = problem.damage._sliding_parts[0][1]
+    normals = problem.damage.points.normal
     assert normals.any()
     taken = problem.damage.stored()
     problem.damage.reset(stored)
@@ -172,7 +172,7 @@ def test_a_point_that_has_not_failed_in_the_end_has_no_crack(rng):
     model = damaged_body(2, law, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
     problem, u = model.problem, displacement(model, rng, 0.06)
     problem.soften(problem.state(u))
-    part, normals = problem.damage._sliding_parts[0]
+    part, normals = problem.damage._sliding_parts[0], problem.damage.points.normal
     begun = int(normals.any(axis=1).sum())
     problem.commit(problem.state(0.3 * u))
     failed = problem.damage.points.kappa[part.points] > 1.0

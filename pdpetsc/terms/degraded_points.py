@@ -140,6 +140,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
             # Images of the crack in a periodic cell and behind mirror planes.
             for sign, shift in zip(places.sign, places.shift, strict=True):
                 along = sign * crack.normals(sign * (x - shift))
+                if along.shape != x.shape or not np.allclose(np.linalg.norm(along, axis=1), 1.0, rtol=0.0, atol=1e-6):
+                    raise CaseError(f"The normals of a {type(crack).__name__} must be unit vectors {x.shape}.")
                 low, high = (x + reach[:, None] * along for reach in self._reaches(points, along))
                 here = crack.cuts(sign * (low - shift), sign * (high - shift)) & ~cut
                 cut[here], normal[here] = True, along[here]

@@ -395,3 +395,15 @@ def test_a_crack_behind_a_mirror_plane_is_that_of_the_whole_body(tmp_path):
 def test_a_crack_of_another_dimension_is_refused(dim, crack, tmp_path):
     with pytest.raises(pd.CaseError, match=r"requires a body|needs points of"):
         pd.run(with_cracks(crack, dim=dim, n=5), tmp_path)
+
+
+class Skewed(pd.Segment):
+    """A crack whose normals have another length."""
+
+    def normals(self, x):
+        return 2.0 * super().normals(x)
+
+
+def test_normals_of_another_length_are_refused(tmp_path):
+    with pytest.raises(pd.CaseError, match="must be unit vectors"):
+        pd.run(with_cracks(Skewed((0.2, 0.5), (0.6, 0.5))), tmp_path)

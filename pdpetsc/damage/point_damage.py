@@ -57,8 +57,8 @@ class PointDamage(Declared):
         Points of particles in this region do not fail. Leave two horizons beside a crack: protected points hold the
         faces of a crack within their families.
     cracks : sequence of Crack, optional
-        Cracks at the start whose faces touch, such as ``pd.Segment``: points whose family they cut along their normal
-        have failed. ``Case(cracks=...)`` instead cuts bonds, and its faces do not touch.
+        Cracks at the start whose faces touch, such as ``pd.Segment``. Points have failed whose family crosses the
+        crack, measured along its normal. ``Case(cracks=...)`` instead cuts bonds, and its faces do not touch.
 
     Raises
     ------

@@ -136,7 +136,10 @@ class SlidingPart(HistoryMaterial):
         )  # fmt: skip
 
     def slipped(self, F: Float, history: Float) -> Float:
-        """Return ``tau . s`` (n,) [energy / volume] for F (n, dim, dim) and the history of some points."""
+        """Return ``tau . s`` (n,) [energy / volume], which drives no damage.
+
+        ``F`` (n, dim, dim) and ``history`` are those of some points.
+        """
         tau, s, _ = self._shear(F, history)
         return np.asarray((tau * s).sum(axis=1))
 

@@ -10,8 +10,8 @@ from pdpetsc.problem.problem import Problem
 
 # Relative tolerance of the first linear solve of a step, and the largest of the others.
 LOOSE = 1e-3
-# Growth of the residual at which a linear solver gives up. In the norm of the preconditioner, which does not know point
-# supports, it grows by 1e5 before it falls; PETSc would give up at 1e4.
+# Growth of the residual at which a linear solver gives up. The preconditioner does not know point supports: in its norm
+# the residual grows by 1e5 before it falls. PETSc would give up at 1e4.
 GROWN = 1e12
 
 # Options of a linear solver; with several blocks, each block has its own.

@@ -122,9 +122,17 @@ def solve_conforming(
 
     def solve(rhs: Float, rtol: float) -> tuple[Float, int]:
         ksp.setTolerances(rtol=rtol, atol=0.0, max_it=near.most)
+        ksp.setConvergenceHistory(near.most + 1, reset=True)
         b.setArray(rhs.ravel())
         ksp.solve(b, x)
-        return np.array(x.array_r).reshape(rhs.shape), ksp.getIterationNumber()
+        iterations = ksp.getIterationNumber()
+        if ksp.getConvergedReason() < 0 and iterations < near.most:
+            # Near round-off the singular system ceases to be positive, after an iterate that may be worse than before.
+            best = int(np.argmin(ksp.getConvergenceHistory()))
+            ksp.setTolerances(max_it=max(best, 1))
+            ksp.solve(b, x)
+            iterations += ksp.getIterationNumber()
+        return np.array(x.array_r).reshape(rhs.shape), iterations
 
     try:
         ksp.setType("cg")

@@ -26,6 +26,8 @@ class _Smooth(NamedTuple):
         ``F (1 - s (x) n)`` [-], and its stress [stress].
     t : (n, dim) float64
         ``F_e^T P n`` [stress]; parallel to n.
+    inverse : (n, dim, dim) float64
+        Inverse of ``F^T F`` in the plane of the crack, at small strain of 1; zero along n.
     """
 
     n: Float
@@ -33,6 +35,7 @@ class _Smooth(NamedTuple):
     F_e: Float
     P: Float
     t: Float
+    inverse: Float
 
 
 class _Slip(NamedTuple):
@@ -125,10 +128,7 @@ class SlidingPart(HistoryMaterial):
             return loop
 
         def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
-            cracked = np.flatnonzero(_cracked(history, dim))
-            smooth = self._smooth(F[select[cracked]], history[cracked])
-            slip = self._slip(smooth, history[cracked])
-            history[cracked, dim:] = smooth.s - slip.tau / self._mu(dim)
+            history[:, dim:] = self._shear(F[select], history)[1]
 
         return HistoryKernels(
             write(self._stress, loops.stress), write(self._tangent, loops.tangent), write(self._energy, loops.energy),
@@ -140,22 +140,22 @@ class SlidingPart(HistoryMaterial):
 
         ``F`` (n, dim, dim) and ``history`` are those of some points.
         """
-        tau, s, _ = self._shear(F, history)
+        tau, s = self._shear(F, history)
         return np.asarray((tau * s).sum(axis=1))
 
     def rubbed(self, F: Float, history: Float) -> Float:
         """Return the work of friction since the last converged step (n,) [energy / volume], as ``slipped``."""
-        tau, s, before = self._shear(F, history)
-        return np.asarray((tau * (s - before)).sum(axis=1))
+        tau, s = self._shear(F, history)
+        return np.asarray((tau * (s - history[:, F.shape[-1] :])).sum(axis=1))
 
-    def _shear(self, F: Float, history: Float) -> tuple[Float, Float, Float]:
-        """Return shear traction [stress], slip and slip of the last converged step (n, dim); 0 without a crack."""
+    def _shear(self, F: Float, history: Float) -> tuple[Float, Float]:
+        """Return shear traction [stress] and slip [-] (n, dim), 0 without a crack."""
         dim, cracked = F.shape[-1], _cracked(history, F.shape[-1])
         tau, s = np.zeros((2, len(F), dim))
         smooth = self._smooth(F[cracked], history[cracked])
         tau[cracked] = self._slip(smooth, history[cracked]).tau
         s[cracked] = smooth.s - tau[cracked] / self._mu(dim)
-        return tau, s, history[:, dim:]
+        return tau, s
 
     def _energy(self, F: Float, history: Float) -> Float:
         """Return the stored energy (n,)."""
@@ -202,8 +202,7 @@ class SlidingPart(HistoryMaterial):
 
     def _curved(self, F: Float, smooth: _Smooth, ds: Float, tau: Float) -> Float:
         """Return ``tau . d^2 s_0 / dF^2`` (n, dim, dim, dim, dim)."""
-        C = np.einsum("pki,pkj->pij", F, F)
-        w = np.einsum("pij,pi->pj", _inverse_in(C, smooth.n), tau)
+        w = np.einsum("pij,pi->pj", smooth.inverse, tau)
         rest, one = smooth.n - smooth.s, np.eye(F.shape[-1])
         both = w[:, :, None] * rest[:, None, :]
         changed = np.einsum("pmn,ik->pimkn", both + both.transpose(0, 2, 1), one)
@@ -216,17 +215,20 @@ class SlidingPart(HistoryMaterial):
         """Return the state without friction."""
         dim = F.shape[-1]
         n = history[:, :dim]
+        plane = np.eye(dim) - n[:, :, None] * n[:, None, :]
         if self.small_strain:
-            sheared = np.einsum("pij,pj->pi", F, n) + np.einsum("pji,pj->pi", F, n)
-            s = sheared - n * (sheared * n).sum(axis=1)[:, None]
+            inverse, sheared = plane, np.einsum("pij,pj->pi", F + F.transpose(0, 2, 1), n)
         else:
             C = np.einsum("pki,pkj->pij", F, F)
-            s = np.einsum("pij,pjk,pk->pi", _inverse_in(C, n), C, n)
+            inverse = np.linalg.inv(plane @ C @ plane + n[:, :, None] * n[:, None, :]) @ plane
+            sheared = np.einsum("pij,pj->pi", C, n)
+        s = np.einsum("pij,pj->pi", inverse, sheared)
         slip = s[:, :, None] * n[:, None, :]
         F_e = F - (slip if self.small_strain else F @ slip)
         P = _filled(self.part.kernels(dim).stress, F_e, F.shape)
         Pn = np.einsum("pij,pj->pi", P, n)
-        return _Smooth(n, s, F_e, P, Pn if self.small_strain else np.einsum("pij,pi->pj", F_e, Pn))
+        t = Pn if self.small_strain else np.einsum("pij,pi->pj", F_e, Pn)
+        return _Smooth(n, s, F_e, P, t, inverse)
 
     def _slip(self, smooth: _Smooth, history: Float) -> _Slip:
         """Return shear and slip with friction for the history of the last converged step."""
@@ -241,13 +243,11 @@ class SlidingPart(HistoryMaterial):
     def _slip_by(self, F: Float, smooth: _Smooth) -> Float:
         """Return the derivative of the slip without friction by F (n, dim, dim, dim)."""
         one, n = np.eye(F.shape[-1]), smooth.n
-        if self.small_strain:
-            plane = _plane(n)
-            return np.asarray(np.einsum("pik,pn->pikn", plane, n) + np.einsum("pin,pk->pikn", plane, n))
-        C, rest = np.einsum("pki,pkj->pij", F, F), n - smooth.s
-        # P C (n - s_0) = 0 with the projection P to the plane, and dC = dF^T F + F^T dF.
-        by = np.einsum("pka,in,pa->pikn", F, one, rest) + np.einsum("pki,pn->pikn", F, rest)
-        return np.asarray(np.einsum("pij,pjkn->pikn", _inverse_in(C, n), by))
+        # At small strain d(F + F^T) n. Else P C (n - s_0) = 0, P the projection to the plane, dC = dF^T F + F^T dF.
+        rest = n if self.small_strain else n - smooth.s
+        G = np.broadcast_to(one, F.shape) if self.small_strain else F
+        by = np.einsum("pka,in,pa->pikn", G, one, rest) + np.einsum("pki,pn->pikn", G, rest)
+        return np.asarray(np.einsum("pij,pjkn->pikn", smooth.inverse, by))
 
     def _mu(self, dim: int) -> float:
         """Return the shear modulus [stress]."""
@@ -259,20 +259,8 @@ def _cracked(history: Float, dim: int) -> Mask:
     return np.asarray(history[:, :dim].any(axis=1))
 
 
-def _plane(n: Float) -> Float:
-    """Return the projection to the plane of the crack (n, dim, dim)."""
-    return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :])
-
-
-def _inverse_in(C: Float, n: Float) -> Float:
-    """Return the inverse of C in the plane of the crack (n, dim, dim), zero along the normal."""
-    plane = _plane(n)
-    within = plane @ C @ plane + n[:, :, None] * n[:, None, :]
-    return np.asarray(np.linalg.inv(within) @ plane)
-
-
 def _filled(loop: Callable[..., None], F: Float, shape: tuple[int, ...]) -> Float:
-    """Return what a loop of a closed part writes at all points of F."""
+    """Return the result of a loop of a closed part at all points of F."""
     result = np.empty(shape)
     loop(F, np.arange(len(F)), np.zeros(0), result)
     return result

@@ -42,6 +42,7 @@ class Split(Declared, ABC):
         return self._without_slip(material)
 
     def _without_slip(self, material: Material) -> ClosedPart:
+        """Return the law of the closed part of faces that do not slide; raise CaseError as ``closed_part``."""
         measure = material.strain_measure
         if not isinstance(material, IsotropicMaterial):
             raise CaseError(
@@ -168,10 +169,8 @@ class NoTension(Split):
 
     def closed_part(self, material: Material) -> ClosedPart | SlidingPart | None:
         """Return the law of the closed part, whose faces slide if there is a coefficient of friction."""
-        part = super().closed_part(material)
-        return (
-            part if self.friction is None or not isinstance(part, ClosedPart) else SlidingPart.of(part, self.friction)
-        )
+        part = self._without_slip(material)
+        return part if self.friction is None else SlidingPart.of(part, self.friction)
 
     def closed(self, strain: Float, lam: float, mu: float) -> Principal:
         """Return the energy of the remaining compressive stresses."""

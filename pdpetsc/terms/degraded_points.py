@@ -19,7 +19,6 @@ from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, Stenci
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.kernels.gradient import residual_kernel
 from pdpetsc.kernels.principal_rows import symmetric_axes
-from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.material.closed_sliding import SlidingPart
 from pdpetsc.material.point_laws import PointLaws
@@ -112,6 +111,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
                     )
         kept = [part for part in closed if part is not None]
         self._closed = MaterialPoints(body, operator, kept, material_of, factor) if kept else None
+        # The closed part if its faces slide.
+        self._sliding = self._closed if self._closed is not None and self._closed.has_history else None
         moduli = E[material_of] * (1.0 if factor is None else factor)
         self._soft = RESIDUAL * moduli[operator.owner]
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
@@ -128,7 +129,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         for crack in damage_laws.cracks:
             self._start_crack(crack)
         # Work of friction in closed cracks [energy / volume], and the degradation factors at which it was computed.
-        self._rubbed = np.zeros(operator.n_points if self._slides else 0)
+        self._rubbed = np.zeros(operator.n_points)
         self._phi_of_work = self.points.phi.copy()
 
     def _start_crack(self, crack: Crack) -> None:
@@ -157,7 +158,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _direct(self) -> None:
         """Tell closed parts whose faces slide the normals of the cracks."""
-        for part in self._sliding_parts:
+        for part in [] if self._sliding is None else self._sliding.materials:
             part.history[:, : self.body.dim] = self.points.normal[part.points]
 
     def _refuse_strength(self) -> None:
@@ -294,15 +295,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
         Y = self.laws(state).energy(F) + self._unresolved_energy(state)
         if self._closed is not None:  # the closed part only lowers Y: far below the onset it does not matter
             Y = Y - self._closed.laws(state).energy(F, NEAR_ONSET**2 * self.points.onset_energy < Y)
-        if self._slides:
-            Y = Y - self._of_closed(SlidingPart.slipped, state)
+        if self._sliding is not None:
+            Y = Y - self._of_sliding(self._sliding, SlidingPart.slipped, state)
         return Y
 
-    def _of_closed(self, quantity: Callable[[Any, Float, Float], Float], state: State) -> Float:
-        """Compute an energy density of the sliding closed parts (n_points,) from F and history (collective)."""
-        assert self._closed is not None
+    def _of_sliding(
+        self, sliding: MaterialPoints, quantity: Callable[[Any, Float, Float], Float], state: State
+    ) -> Float:
+        """Compute an energy density of closed parts whose faces slide (n_points,) from F and history (collective)."""
         found = np.zeros(self.operator.n_points)
-        for law in self._closed.laws(state).materials:
+        for law in sliding.laws(state).materials:
             law.density_of(quantity, self.deformation(state), found)
         return found
 
@@ -392,36 +394,26 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self.conduction_version += change > 0.0
         return change
 
-    @property
-    def _slides(self) -> bool:
-        """Return True if the faces of closed cracks slide."""
-        return self._closed is not None and self._closed.has_history
-
-    @property
-    def _sliding_parts(self) -> list[MaterialAtPoints]:
-        """Return the closed parts whose faces slide."""
-        return self._closed.materials if self._closed is not None and self._slides else []
-
     def keep(self, state: State) -> None:
         """Commit the damage at a converged state (not collective).
 
         A crack that began in a sweep, at a point that has not failed in the end, is forgotten.
         """
         self.points.commit()
-        for part in self._sliding_parts:
+        for part in [] if self._sliding is None else self._sliding.materials:
             part.history[self.points.kappa[part.points] <= 1.0] = 0.0
 
     def commit(self, state: State) -> None:
         """Update the histories of materials and the slip of closed cracks at a converged state."""
         super().commit(state)
-        if self._closed is None or not self._slides:
+        if self._sliding is None:
             return
         # A point that fails further has slipped with all of its faces, at the friction of the present state.
         phi = self.points.phi
-        self._rubbed += (1.0 - phi) * self._of_closed(SlidingPart.rubbed, state)
-        self._rubbed += (self._phi_of_work - phi) * self._of_closed(SlidingPart.slipped, state)
+        self._rubbed += (1.0 - phi) * self._of_sliding(self._sliding, SlidingPart.rubbed, state)
+        self._rubbed += (self._phi_of_work - phi) * self._of_sliding(self._sliding, SlidingPart.slipped, state)
         self._phi_of_work = phi.copy()
-        self._closed.laws(state).commit(self.deformation(state))
+        self._sliding.laws(state).commit(self.deformation(state))
 
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""
@@ -494,7 +486,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         psi = self._degraded(state, lambda laws, only: laws.energy(F, only))
         failed, soft, strain = self._residual(state)
         psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
-        return psi + self._rubbed if self._slides else psi
+        return np.asarray(psi + self._rubbed)
 
     def _degraded(self, state: State, of: Callable[[PointLaws, Mask | None], Float]) -> Float:
         """Compute ``phi (whole - closed) + closed`` of a quantity of the points (n_points, ...).
@@ -634,11 +626,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials and the damage of the points."""
         points, owner = self.points, self.operator.owner
-        closed = self._closed.arrays() if self._closed is not None else {}
+        of_slip: dict[str, KeptArray] = {}
+        if self._sliding is not None:
+            of_slip = {f"closed_{name}": array for name, array in self._sliding.arrays().items()}
+            of_slip["work_of_friction"] = KeptArray(owner, self._rubbed)
         return {
             **super().arrays(),
-            **{f"closed_{name}": array for name, array in closed.items()},
-            **({"work_of_friction": KeptArray(owner, self._rubbed)} if self._slides else {}),
+            **of_slip,
             "phi": KeptArray(owner, points.phi, 0.0, 1.0),
             "largest_drive": KeptArray(owner, points.kappa, 0.0),
             "final_drive": KeptArray(owner, points.final, 1.0),

@@ -172,7 +172,7 @@ def test_a_point_that_has_not_failed_in_the_end_has_no_crack(rng):
     model = damaged_body(2, law, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
     problem, u = model.problem, displacement(model, rng, 0.06)
     problem.soften(problem.state(u))
-    part, normals = problem.damage._sliding_parts[0], problem.damage.points.normal
+    part, normals = problem.damage._sliding.materials[0], problem.damage.points.normal
     begun = int(normals.any(axis=1).sum())
     problem.commit(problem.state(0.3 * u))
     failed = problem.damage.points.kappa[part.points] > 1.0

@@ -139,9 +139,9 @@ class ExplicitSolver(Solver):
         due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
         # The growth of the largest frequency that the safety allows.
         allowed = max(1.0 / declared.safety - 1.0, LEAST_ALLOWED)
-        deformation = Deformation(problem.body, problem.damage is None) if self._changes else None
-        deformed = resume.get(DEFORMED, 0.0)
-        if deformation is not None:
+        deformation = None
+        if self._changes:
+            deformation = Deformation(problem.body, problem.damage is None, resume.get(DEFORMED, 0.0))
             deformation.since(state, begin=True)
         dt = self._stable(largest)
         pattern = problem.pattern
@@ -176,8 +176,7 @@ class ExplicitSolver(Solver):
                 if inertia.viscosity is not None and number < count and self._stable(largest) < size:
                     base, number, count = at, 0, self._count(target - at, self._stable(largest))
                 if deformation is not None and self._steps % CHECKED_SHAPE == 0:
-                    change = deformation.since(problem.state(u, at), begin=False)
-                    due = self._steps if deformed + change > DEFORMS * allowed else due
+                    due = self._steps if deformation.at(problem.state(u, at)) > DEFORMS * allowed else due
                 if self._steps >= due:
                     now = max(self._frequency(u, at), least)
                     growth = now / largest - 1.0 if largest > 0.0 else now
@@ -186,21 +185,20 @@ class ExplicitSolver(Solver):
                     elif growth < RESTS * allowed:
                         interval = min(MOST_STEPS, LENGTHENED * interval)
                     if deformation is not None:
-                        deformation.since(problem.state(u, at), begin=True)
-                        deformed = 0.0
+                        deformation.reset(problem.state(u, at))
                     due = self._steps + interval
                     if now != largest and number < count:
                         base, number, count = at, 0, self._count(target - at, self._stable(now))
                     largest, dt = now, self._stable(now)
             problem.freeze(False)
             work, state = balance.step_work, problem.state(u, target)
-            # A run that goes on from here knows the deformation since the estimate as a number.
-            deformed += 0.0 if deformation is None else deformation.since(state, begin=True)
+            if deformation is not None:
+                deformation.carry(state)
             inertia.error = balance.record(state, size)
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
-            numbers |= {ADDED: inertia.added, DEFORMED: deformed}
+            numbers |= {ADDED: inertia.added, DEFORMED: 0.0 if deformation is None else deformation.passed}
             if inertia.viscosity is not None:
                 numbers[RATIO] = inertia.viscosity.ratio
             resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}

@@ -29,15 +29,31 @@ class Deformation:
     both : bool
         Whether extensions count besides compressions. They do not in a body that fails: parts that move apart do not
         become stiffer.
+    passed : float
+        Deformation before, of a run that goes on [-].
     """
 
-    def __init__(self, body: Body, both: bool) -> None:
+    def __init__(self, body: Body, both: bool, passed: float = 0.0) -> None:
+        self.passed = passed
         cloud, self._body, self._both = body.cloud, body, both
         # Those of a lattice include its diagonals, which shear along the axes presses.
         near = min(3**cloud.dim, cloud.n_local)
         found = scipy.spatial.cKDTree(cloud.x).query(cloud.x[: cloud.n_owned], near)[1] if cloud.n_owned else []
         self._near = np.asarray(found, dtype=np.int32).reshape(cloud.n_owned, near)
         self._length = np.ones(self._near.shape)
+
+    def at(self, state: State) -> float:
+        """Return the deformation at a state (collective)."""
+        return self.passed + self.since(state, begin=False)
+
+    def carry(self, state: State) -> None:
+        """Measure from a state on, and keep the deformation up to it as a number, for a checkpoint (collective)."""
+        self.passed += self.since(state, begin=True)
+
+    def reset(self, state: State) -> None:
+        """Measure from a state on (collective)."""
+        self.since(state, begin=True)
+        self.passed = 0.0
 
     def since(self, state: State, begin: bool) -> float:
         """Return the largest change of a distance since the last state with ``begin`` [-] (collective)."""

@@ -10,6 +10,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import DamageModel
+from pdpetsc.solvers.geometric_series import GeometricSeries
 from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
 
 # Load parameters that differ by less are equal.
@@ -31,6 +32,8 @@ NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much.
 FIRST = 1e-6
+# Otherwise a sweep is solved to this tolerance relative to the last change of a degradation factor.
+SWEPT = 1e-2
 # Reason for accepting an equilibrium that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
@@ -176,7 +179,8 @@ def equilibrium(
     problem, broken = solver.problem, 0
     problem.freeze(False)
     has_energy = problem.softens and damage_of(solver).forces_have_energy
-    with solver.loosely(FIRST) if has_energy else nullcontext():
+    # Exact if damage changes little, and else the start of sweeps.
+    with solver.loosely(FIRST if has_energy else None) if problem.softens else nullcontext():
         attempt, result = solver.solve(u, target)
     if not problem.softens:
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
@@ -236,8 +240,8 @@ def followed(
     """Update damage and solve again from ``u`` until neither changes; return also the last change of ``phi``.
 
     A zero-energy control uses the damage of the equilibrium before. Newton's solution is therefore not yet in
-    equilibrium with its own damage. If forces have an energy, ``u`` may be an equilibrium of a looser tolerance, and is
-    solved again in any case. A change of more than ``most`` is not accepted and ends the search.
+    equilibrium with its own damage. ``u`` may be an equilibrium of a looser tolerance, and is solved again in any case.
+    A change of more than ``most`` is not accepted and ends the search.
 
     Returns
     -------
@@ -247,14 +251,15 @@ def followed(
         Last change of a degradation factor [-]; at most ``LAST`` if ``u`` is in equilibrium with its own damage.
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
-    damage = damage_of(solver)
+    damage, series = damage_of(solver), GeometricSeries(solver.problem)
     for number in range(FOLLOWING):
         change = damage.fading(solver.state(u))
         if change > most:
             break
         solver.problem.soften(solver.state(u))
-        if change <= LAST and (number > 0 or not damage.forces_have_energy):
+        if change <= LAST and number > 0:
             break
+        series.extrapolate(change)
         u, again = solver.solve(u, target)
         iterations, linear = iterations + again.iterations, linear + again.linear_iterations
         result = replace(again, iterations=iterations, linear_iterations=linear, easy=result.easy)
@@ -272,7 +277,7 @@ def settle(
     follows the displacement starts from it. Newton's solution is in equilibrium with its own damage and ends the
     search.
 
-    If forces have an energy, sweeps (solved loosely) lower it, and the solution is accepted if its tangent has no
+    Sweeps are solved loosely. If forces have an energy, they lower it, and the solution is accepted if its tangent has no
     negative pivots. After a rejected solution, sweeps continue until they change ten times less, at last until damage
     has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature changes
     sign, and a step along which the energy rises is reversed.
@@ -294,16 +299,18 @@ def settle(
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
+    series, change = GeometricSeries(problem), 1.0
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
         damage.freeze(True)
-        with solver.loosely() if energy and near >= LAST else nullcontext():
+        with solver.loosely(None if energy else SWEPT * change) if near >= LAST else nullcontext():
             u, result = solver.solve(u, target)
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
             return u, result, broken, sweep
         change = problem.soften(solver.state(u))
+        series.extrapolate(change)
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:

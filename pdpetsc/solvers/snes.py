@@ -154,7 +154,9 @@ class SnesSolver(StepSolver):
         and the linear iterations.
         """
         sought, linear = self._equilibrium, 0
-        resting = sought.resting
+        resting = sought.resting or (
+            self.snes.getConvergedReason() > 0 and sought.at_rest(self._read(self._x), self.rtol)
+        )
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break

@@ -16,7 +16,9 @@ from pdpetsc.output.observer import Observer, StepLines
 from pdpetsc.post.of_terms import fields_of_terms, numbers_of_terms
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.doubts import Doubts
+from pdpetsc.running.energy_balance import EnergyBalance
 from pdpetsc.running.fragments import DetachedParticles, Fragments
+from pdpetsc.running.large_strain import LargeStrain
 from pdpetsc.running.modes import FoundModes
 from pdpetsc.running.stabilisation_energy import StabilisationEnergy
 from pdpetsc.running.stability import Stability
@@ -48,6 +50,8 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         Fragments(),
         UnbalancedForces(case),
         TurnedRegions(case),
+        LargeStrain(case),
+        EnergyBalance(case, problem),
         *([] if case.modes is None else [FoundModes(case, case.modes)]),
         Stability(case),
         FinalPicture(case.picture),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.bond_based import BondMaterial
-from pdpetsc.case import Case, ungraded
+from pdpetsc.case import AnyMaterial, Case, ungraded
 from pdpetsc.declare.supports import RigidRegion
 from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.post.solution import Solution
@@ -49,5 +49,10 @@ class TurnedRegions(Observer):
 
 def resists_rotation(case: Case) -> bool:
     """Return True if a material of the case is one of small strain."""
-    laws = [ungraded(material) for _, material in case.materials]
-    return any(law.kinematics == "small" if isinstance(law, BondMaterial) else law.small_strain for law in laws)
+    return any(is_of_small_strain(material) for _, material in case.materials)
+
+
+def is_of_small_strain(material: AnyMaterial) -> bool:
+    """Return True if the stress of a material is that of small strain."""
+    law = ungraded(material)
+    return law.kinematics == "small" if isinstance(law, BondMaterial) else law.small_strain

@@ -277,10 +277,10 @@ def settle(
     follows the displacement starts from it. Newton's solution is in equilibrium with its own damage and ends the
     search.
 
-    Sweeps are solved loosely. If forces have an energy, they lower it, and the solution is accepted if its tangent has no
-    negative pivots. After a rejected solution, sweeps continue until they change ten times less, at last until damage
-    has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature changes
-    sign, and a step along which the energy rises is reversed.
+    Sweeps are solved loosely. If forces have an energy, sweeps lower it, and the solution is accepted if its tangent
+    has no negative pivots. After a rejected solution, sweeps continue until they change ten times less, at last until
+    damage has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature
+    changes sign, and a step along which the energy rises is reversed.
 
     Bonds with reversible damage do not regain force in sweeps, which might not end otherwise, and break only if damage
     has settled. The last Newton solve lets them regain force and must converge.

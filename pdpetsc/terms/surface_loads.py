@@ -8,10 +8,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.conditions import SurfacePressure, Traction
-from pdpetsc.declare.region import Named
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.declare.region import Named, Region
+from pdpetsc.discrete.communicator import agreed, largest, smallest, total
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
@@ -21,6 +21,8 @@ from pdpetsc.terms.prescribed_loads import PrescribedLoads
 LOOKS = np.cos(np.pi / 4.0)
 # A facet belongs to a side of a box if the cosine between its normal and an axis is above this.
 ON_SIDE = 1.0 - 1e-9
+# Tractions are equal if they differ by less than this share.
+SAME = 1e-9
 
 # Forces of some facets (n, dim) [force] at their centroids (n, dim), with their vector areas (n, dim), at a load
 # parameter.
@@ -67,7 +69,14 @@ class SurfaceLoads(PrescribedLoads):
                 found[:, axis] = condition.value(value, x, t) * size
             return found
 
-        self._add(_OnFacets(self._facets(condition, normal, name), forces), name)
+        facets = self._facets(condition.region, normal, name)
+        tagged = isinstance(condition.region, Named) and condition.region.name in self._surface.tags
+        if normal is None and not tagged and len(sides := self._sides(facets)) > 1 and self._uniform(facets, forces):
+            raise CaseError(
+                f"The region of {name} holds facets on {len(sides)} sides of the body, and a traction acts on "
+                f"each: write one of them, {', '.join(f'{side!r}' for side in sides)}, as its region."
+            )
+        self._add(_OnFacets(facets, forces), name)
 
     def add_pressure(self, condition: SurfacePressure, name: str) -> None:
         """Add a pressure on the facets of its region."""
@@ -75,12 +84,12 @@ class SurfaceLoads(PrescribedLoads):
         def forces(x: Float, area: Float, t: float) -> Float:
             return np.asarray(-condition.values(x, t)[:, None] * area)
 
-        self._add(_OnFacets(self._facets(condition, None, name), forces), name)
+        self._add(_OnFacets(self._facets(condition.region, None, name), forces), name)
 
-    def _facets(self, condition: Traction | SurfacePressure, normal: Float | None, name: str) -> GlobalIndex:
-        """Return the facets in the region of a condition on this rank."""
+    def _facets(self, region: Region, normal: Float | None, name: str) -> GlobalIndex:
+        """Return the facets in a region on this rank that face the direction of a normal, if there is one."""
         surface, cloud = self._surface, self.body.cloud
-        mask = surface.select(cloud, condition.region, name)
+        mask = surface.select(cloud, region, name)
         if normal is not None:
             mask &= surface.area @ normal > LOOKS * np.linalg.norm(surface.area, axis=1)
             if int(total(cloud.comm, np.count_nonzero(mask))) == 0:
@@ -88,38 +97,41 @@ class SurfaceLoads(PrescribedLoads):
                     f"No facet in the region of {name} looks along its normal {np.round(normal, 6).tolist()}; let it "
                     f"point out of the body, or leave it out."
                 )
-        elif isinstance(condition, Traction) and not self._tells_sides_apart(condition):
-            self._refuse_several_sides(mask, name)
         return np.flatnonzero(mask)
 
-    def _tells_sides_apart(self, condition: Traction) -> bool:
-        """Return True if a traction has a function as component, or a tag of facets as region."""
-        region = condition.region
-        tagged = isinstance(region, Named) and region.name in self._surface.tags
-        return tagged or any(callable(value) for value in (condition.x, condition.y, condition.z))
-
-    def _refuse_several_sides(self, mask: Mask, name: str) -> None:
-        """Raise on all ranks if the facets belong to several sides of a box (collective).
+    def _sides(self, facets: GlobalIndex) -> list[str]:
+        """Return the sides of a box that hold facets; none if a facet is on no side (collective).
 
         A slab at the end of a bar contains facets of its top and bottom too. A staircase has more area than the curve
-        that it approximates. The resultant would be too large.
+        that it approximates.
         """
-        area, comm = self._surface.area[mask], self.body.cloud.comm
+        area, comm = self._surface.area[facets], self.body.cloud.comm
         along = area / np.linalg.norm(area, axis=1)[:, None]
         sides = np.array([np.count_nonzero(sign * along > ON_SIDE, axis=0) for sign in (-1.0, 1.0)])
         count = total(comm, [*sides.ravel(), len(area)])
         of_sides, every = count[:-1].reshape(sides.shape), count[-1]
-        if int(of_sides.sum()) == int(every) and np.count_nonzero(of_sides) > 1:
-            names = [f"{'-+'[sign]}{'xyz'[axis]}" for axis, sign in np.argwhere(of_sides.T > 0)]
-            raise CaseError(
-                f"The region of {name} holds facets on {len(names)} sides of the body, and a traction acts on "
-                f"each: write one of them, {', '.join(f'{side!r}' for side in names)}, as its region."
-            )
+        if int(of_sides.sum()) != int(every):
+            return []
+        return [f"{'-+'[sign]}{'xyz'[axis]}" for axis, sign in np.argwhere(of_sides.T > 0)]
+
+    def _uniform(self, facets: GlobalIndex, forces: _OfFacets) -> bool:
+        """Return True if a traction is the same on all facets at step time 1, and not zero (collective).
+
+        A function that tells sides apart is not.
+        """
+        comm, area = self.body.cloud.comm, self._surface.area[facets]
+        with agreed(comm):
+            t = forces(self._surface.x[facets], area, 1.0) / np.linalg.norm(area, axis=1)[:, None]
+        high = np.array([largest(comm, float(c.max(initial=-np.inf))) for c in t.T])
+        low = np.array([smallest(comm, float(c.min(initial=np.inf))) for c in t.T])
+        size = np.abs([low, high]).max()
+        return bool(0.0 < size < np.inf and np.all(high - low <= SAME * size))
 
     def _add(self, applied: _OnFacets, name: str) -> None:
         """Store a load and record its resultant."""
         self._applied.append(applied)
-        self._note(name, lambda t: self._sum([applied], t))
+        sides = self._sides(applied.where)
+        self._note(f"{name} on {', '.join(sides)}" if len(sides) > 1 else name, lambda t: self._sum([applied], t))
 
     def _evaluated(self, t: float) -> Float:
         return self._sum(self._applied, t)

@@ -396,13 +396,14 @@ def test_temperatures_that_agree_on_a_corner_act_as_one(heat, tmp_path):
 LOADED_END = """
 import pdpetsc as pd
 
-def case(end="slab", normal=False):
+def case(end="slab", normal=False, function=False):
+    load = (lambda x, t: -25.0 * t) if function else -25.0
     regions = {"slab": pd.region.Slab("x", low=9.0), "tag": pd.region.Named("+x")}
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (10.0, 4.0), 0.5), horizon=1.0075, material=pd.LinearElastic(E=1000.0, nu=0.3),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=0.5), x=0.0, y=0.0),
-            pd.Traction(regions[end], y=-25.0, normal=(1.0, 0.0) if normal else (), distribution="surface"),
+            pd.Traction(regions[end], y=load, normal=(1.0, 0.0) if normal else (), distribution="surface"),
         ],
         history={"force": pd.Reaction("y")}, results=lambda h: {"force": h["force"][-1]},
     )
@@ -414,11 +415,13 @@ def test_a_traction_on_several_sides_of_a_box_is_refused(ranks, tmp_path):
     """A slab at the end of a bar holds facets of its top and bottom too: the resultant was 150 for 100."""
     path = tmp_path / "end.py"
     path.write_text(LOADED_END)
-    refused = called(path, "-o", tmp_path / "refused", ranks=ranks, cwd=tmp_path)
-    assert refused.returncode != 0
-    said = " ".join(refused.stderr.split())
-    assert "holds facets on 3 sides of the body" in said
-    assert "write one of them, '+x', '-y', '+y'" in said
+    for function in (0, 1):
+        words = f"function={function}"
+        refused = called(path, words, "-o", tmp_path / "refused", ranks=ranks, cwd=tmp_path)
+        assert refused.returncode != 0
+        said = " ".join(refused.stderr.split())
+        assert "holds facets on 3 sides of the body" in said
+        assert "write one of them, '+x', '-y', '+y'" in said
     for words in (["end=tag"], ["normal=1"]):
         done = results(path, *words, ranks=ranks, output=tmp_path / "run")
         assert done["results"]["force"] == pytest.approx(100.0, rel=1e-9)

@@ -10,17 +10,17 @@ from pdpetsc.problem.problem import Problem
 
 # Two successive changes are those of a geometric series if the cosine of the angle between them is at least this.
 ALIGNED = 0.999
-# Damage is moved by this share of the rest of the series, and by at most MOST in a degradation factor: what is too much
-# is not taken back.
-SHARE, MOST = 0.9, 0.01
+# Damage is moved by this share of the rest of the series, and by at most MOST in a degradation factor.
+SHARE, MOST = 0.9, 0.001
 
 
 class GeometricSeries:
     """Extrapolate degradation factors whose changes ``d_k`` from sweep to sweep are a geometric series.
 
     If ``d_k = rho d_k-1``, the changes that follow sum to ``rho / (1 - rho) d_k``. A slow settling is soon that of its
-    slowest mode, for which this holds. Damage with an energy, for which Newton's method settles the rest, and
-    reversible damage are left as they are.
+    slowest mode, for which this holds. What settles faster at a bond moves by the ratio of that bond, because damage
+    that is too large would stay. Damage with an energy, for which Newton's method settles the rest, and reversible
+    damage are left as they are.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ class GeometricSeries:
         damage = problem.damage
         assert damage is not None
         self._problem, self._damage = problem, damage
-        self._applies = not (damage.forces_have_energy or damage.reversible)
-        self._phi: Float | None = damage.stored()[0] if self._applies else None
+        applies = not (damage.forces_have_energy or damage.reversible)
+        self._phi: Float | None = damage.stored()[0] if applies else None
         self._change: Float | None = None
 
     def extrapolate(self, largest: float) -> None:
@@ -49,9 +49,9 @@ class GeometricSeries:
         both, now, then = total(self._problem.body.cloud.comm, products)
         if not 0.0 < now < then or both < ALIGNED * np.sqrt(now * then):
             return
-        ratio = np.sqrt(now / then)
-        ahead = min(SHARE * ratio / (1.0 - ratio), MOST / largest)
+        ratio = np.minimum(change / np.where(before > 0.0, before, np.inf), np.sqrt(now / then))
+        ahead = np.minimum(SHARE * ratio / (1.0 - ratio) * change, MOST)
         # A bond without remaining force breaks at equilibrium, not here.
-        moved = np.where(phi > 0.0, np.maximum(phi - ahead * change, np.minimum(phi, np.finfo(float).tiny)), 0.0)
+        moved = np.where(phi > 0.0, np.maximum(phi - ahead, np.minimum(phi, np.finfo(float).tiny)), 0.0)
         self._problem.reset_bonds((moved, *others))
         self._phi, self._change = moved, None

@@ -32,8 +32,9 @@ NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much.
 FIRST = 1e-6
-# Otherwise a sweep is solved to this tolerance relative to the last change of a degradation factor.
-SWEPT = 1e-2
+# Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. What a sweep has too much
+# stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
+SWEPT = 1e-5
 # Reason for accepting an equilibrium that sweeps alone have found.
 SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
@@ -179,7 +180,6 @@ def equilibrium(
     problem, broken = solver.problem, 0
     problem.freeze(False)
     has_energy = problem.softens and damage_of(solver).forces_have_energy
-    # Exact if damage changes little, and else the start of sweeps.
     with solver.loosely(FIRST if has_energy else None) if problem.softens else nullcontext():
         attempt, result = solver.solve(u, target)
     if not problem.softens:
@@ -187,7 +187,14 @@ def equilibrium(
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    reversible = problem.damage is not None and problem.damage.reversible
+    damage = damage_of(solver)
+    reversible = damage.reversible
+    if not has_energy and result.converged and damage.fading(solver.state(attempt)) <= GENTLE:
+        attempt, exact = solver.solve(attempt, target)
+        result = replace(
+            exact, iterations=exact.iterations + result.iterations,
+            linear_iterations=exact.linear_iterations + result.linear_iterations, easy=exact.easy and result.easy,
+        )  # fmt: skip
     while not stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
@@ -240,8 +247,8 @@ def followed(
     """Update damage and solve again from ``u`` until neither changes; return also the last change of ``phi``.
 
     A zero-energy control uses the damage of the equilibrium before. Newton's solution is therefore not yet in
-    equilibrium with its own damage. ``u`` may be an equilibrium of a looser tolerance, and is solved again in any case.
-    A change of more than ``most`` is not accepted and ends the search.
+    equilibrium with its own damage. If forces have an energy, ``u`` may be an equilibrium of a looser tolerance, and is
+    solved again in any case. A change of more than ``most`` is not accepted and ends the search.
 
     Returns
     -------
@@ -257,7 +264,7 @@ def followed(
         if change > most:
             break
         solver.problem.soften(solver.state(u))
-        if change <= LAST and number > 0:
+        if change <= LAST and (number > 0 or not damage.forces_have_energy):
             break
         series.extrapolate(change)
         u, again = solver.solve(u, target)
@@ -309,13 +316,14 @@ def settle(
         result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
         if not result.converged:
             return u, result, broken, sweep
-        change = problem.soften(solver.state(u))
+        before, change = change, problem.soften(solver.state(u))
         series.extrapolate(change)
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:
             return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), broken, sweep
-        if more or change > near or near < LAST:
+        # Without an energy Newton starts from an exact sweep.
+        if more or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
         damage.freeze(False)
         taken, load, tried = damage.stored(), solver.load, change

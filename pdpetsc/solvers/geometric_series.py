@@ -10,8 +10,9 @@ from pdpetsc.problem.problem import Problem
 
 # Two successive changes are those of a geometric series if the cosine of the angle between them is at least this.
 ALIGNED = 0.999
-# Damage is moved by this share of the rest of the series, and by at most MOST in a degradation factor.
-SHARE, MOST = 0.9, 0.001
+# Damage is moved by this share of the rest of the series. A degradation factor that changes by more than MOST in a
+# sweep, or would be moved by more, belongs to a cascade of failing bonds, whose order decides what breaks.
+SHARE, MOST = 0.9, 1e-3
 
 
 class GeometricSeries:
@@ -47,7 +48,7 @@ class GeometricSeries:
             return
         products = [float(change @ before), float(change @ change), float(before @ before)]
         both, now, then = total(self._problem.body.cloud.comm, products)
-        if not 0.0 < now < then or both < ALIGNED * np.sqrt(now * then):
+        if largest > MOST or not 0.0 < now < then or both < ALIGNED * np.sqrt(now * then):
             return
         ratio = np.minimum(change / np.where(before > 0.0, before, np.inf), np.sqrt(now / then))
         ahead = np.minimum(SHARE * ratio / (1.0 - ratio) * change, MOST)

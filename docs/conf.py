@@ -11,6 +11,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
 project = "pdpetsc"
+REPOSITORY = "https://github.com/pdpetsc/pdpetsc"
 author = "The pdpetsc developers"
 copyright = "the pdpetsc developers"
 version = release = pdpetsc.__version__
@@ -83,11 +84,14 @@ mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}, "svg": {"fontCache": "global"}}
 
 
-def without_gallery(app, docname, source):
-    """Leave out the gallery and the film of the front page if they have not been generated."""
-    if not (HERE / "examples" / "images" / "crack.gif").exists():
-        source[0] = re.sub(r"^% film\n.*?^% end of film\n", "", source[0], flags=re.MULTILINE | re.DOTALL)
-    if not (HERE / "examples" / "index.md").exists():
+def with_gallery(app, docname, source):
+    """Show the film and link to the gallery if they have been generated, in place of what a clone has."""
+    if (HERE / "examples" / "images" / "crack.gif").exists():
+        source[0] = source[0].replace("(pictures/front_panel.png)", "(examples/images/crack.gif)")
+    if (HERE / "examples" / "index.md").exists():
+        source[0] = source[0].replace("../runs/README.md)", "examples/index.md)")
+    else:
+        source[0] = re.sub(r"\((?:\.\./)+runs/README\.md\)", f"({REPOSITORY}/blob/main/runs/README.md)", source[0])
         source[0] = re.sub(r"^% gallery\n.*?^% end of gallery\n", "", source[0], flags=re.MULTILINE | re.DOTALL)
         source[0] = re.sub(r"^.*\bexamples/index\b.*\n", "", source[0], flags=re.MULTILINE)
 
@@ -136,6 +140,6 @@ def draw_equations(app, what, name, thing, options, lines):
 
 def setup(app):
     """Register with Sphinx."""
-    app.connect("source-read", without_gallery)
+    app.connect("source-read", with_gallery)
     app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", draw_equations)

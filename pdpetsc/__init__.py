@@ -92,6 +92,7 @@ from pdpetsc.declare.thermal import (
 )
 from pdpetsc.declare.tools import Contact, RigidBox, RigidCylinder, RigidPlane, RigidSphere, RigidTool
 from pdpetsc.declare.units import Units
+from pdpetsc.declared import meant
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.gradient.products import PointBlocks, Product
@@ -120,6 +121,7 @@ from pdpetsc.post.quantities import (
     Reaction,
     ReactionMoment,
     RelativeError,
+    Smallest,
     StrainEnergy,
 )
 from pdpetsc.post.sampling import grid, line
@@ -281,6 +283,7 @@ __all__ = [
     "Roller",
     "RunError",
     "Segment",
+    "Smallest",
     "SmoothDegradation",
     "SnapThrough",
     "Solution",
@@ -380,4 +383,5 @@ def __getattr__(name: str) -> Any:
     if name in _RENAMED:
         warn(f"pd.{name}", f"pd.{_RENAMED[name]}")
         return globals()[_RENAMED[name]]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    near = "" if name.startswith("_") else meant(name, __all__, "; did you mean {}?")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}", name=name)

@@ -92,6 +92,8 @@ def shown(value: object) -> str:
     """Return the text of a value for messages."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
+    if isinstance(value, types.FunctionType):
+        return f"the function {value.__name__}"
     try:
         text = " ".join(repr(value).split())
     except Exception:
@@ -103,6 +105,22 @@ def meant(word: str, known: Iterable[str], sentence: str) -> str:
     """Return a sentence with the known word most similar to a given one, or an empty string."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return sentence.format(near[0]) if near else ""
+
+
+def near_or_all(word: str, known: Collection[str]) -> str:
+    """Return the end of a message on an unknown word: the most similar known word, or all of them."""
+    return meant(word, known, "did you mean {}?") or f"it has {', '.join(known) or 'none'}."
+
+
+class ByName(dict[str, T]):
+    """A dictionary whose error for an unknown name suggests a known one; ``what`` is what it holds, for the message."""
+
+    def __init__(self, what: str, items: Mapping[str, T]) -> None:
+        super().__init__(items)
+        self.what = what
+
+    def __missing__(self, name: str) -> T:
+        raise KeyError(f"The {self.what} has no {name!r}; {near_or_all(name, self)}")
 
 
 def refuse_unknown(words: Iterable[str], known: Collection[str], begin: str) -> None:
@@ -299,6 +317,12 @@ def _advice(value: object, hint: Any) -> str:
     if isinstance(value, type):
         return f"; write {value.__name__}(...) for an object of it"
     for choice in get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,):
+        if callable(value) and (instead := getattr(choice, "instead_of_function", "")):
+            return f"; {instead}"
+        if isinstance(value, Mapping) and get_origin(choice) is Mapping:
+            key, entry = get_args(choice)
+            name, wrong = next((name, one) for name, one in value.items() if not (fits(name, key) and fits(one, entry)))
+            return f"; {shown(name)} is {shown(wrong)}{_advice(wrong, entry)}" if fits(name, key) else ""
         if not _is_sequence_hint(get_origin(choice)) or get_origin(choice) is tuple:
             continue
         item = get_args(choice)[0]

@@ -12,8 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pdpetsc.command_line.commands import COMMANDS
-from pdpetsc.declared import meant, refuse_unknown, shown
+from pdpetsc.declared import near_or_all, refuse_unknown, shown
 from pdpetsc.errors import CaseError, PdpetscError
 
 if TYPE_CHECKING:
@@ -33,8 +32,7 @@ def load_case(path: Path) -> Callable[..., Case]:
     except OSError as error:  # the name is too long
         raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
     if not there:
-        command = "" if path.suffix else meant(str(path), COMMANDS, "; did you mean the command {}?")
-        raise CaseError(f"Cannot read the case file {path}: file not found{command or '.'}")
+        raise CaseError(f"Cannot read the case file {path}: file not found.")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
         raise CaseError(f"The case file {path} must end in .py.")
@@ -97,19 +95,24 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
         where = _line_of(path, error) or " somewhere below it"
         words = " ".join(str(error).split()).rstrip(".")
         said = f"{type(error).__name__}: {words}" if words else type(error).__name__
-        raise CaseError(f"The case file {path} failed{where}: {said}{_keywords(words)}.") from error
+        said = _of_arguments(words) if isinstance(error, TypeError) else said if said.endswith("?") else f"{said}."
+        raise CaseError(f"The case file {path} failed{where}: {said}") from error
 
 
-def _keywords(words: str) -> str:
-    """Return the keywords of a class or function of pdpetsc if an error is about a wrong keyword."""
+def _of_arguments(words: str) -> str:
+    """Return the message of a TypeError, in plain words if it is about arguments of a class or function of pdpetsc."""
     import pdpetsc
 
-    found = re.match(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'", words)
-    taker = getattr(pdpetsc, found[1], None) if found and found[1] in pdpetsc.__all__ else None
-    if found is None or taker is None:
-        return ""
-    known = [name for name in inspect.signature(taker).parameters if name != "self"]
-    return f"; it takes {', '.join(known)}{meant(found[2], known, ' (did you mean {}?)')}"
+    rooms = [pdpetsc, *(room for room in map(vars(pdpetsc).get, pdpetsc.__all__) if inspect.ismodule(room))]
+    name, _, problem = words.partition("() ")
+    name = name.removesuffix(".__init__")
+    taker = next((getattr(room, name) for room in rooms if name in getattr(room, "__all__", vars(room))), None)
+    if callable(taker) and (unknown := re.match(r"got an unexpected keyword argument '(\w+)'", problem)):
+        known = list(inspect.signature(taker).parameters)
+        return f"{name} has no argument {unknown[1]}; {near_or_all(unknown[1], known)}"
+    if callable(taker) and (missing := re.match(r"missing \d+ required .*arguments?: (.*)", problem)):
+        return f"{name} needs {missing[1].replace(chr(39), '')}."
+    return f"TypeError: {words}."
 
 
 def _line_of(path: Path, error: BaseException) -> str:

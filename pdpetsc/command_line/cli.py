@@ -45,7 +45,7 @@ from typing import Any, NoReturn
 
 from pdpetsc.command_line.arguments import Arguments, split
 from pdpetsc.command_line.case_file import arguments_of, load_case, make_case
-from pdpetsc.command_line.commands import COMMANDS, command, usage_of
+from pdpetsc.command_line.commands import COMMANDS, command, refuse_command, usage_of
 from pdpetsc.command_line.start import start_petsc, take_signals
 from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
 from pdpetsc.machine import stamp_of
@@ -148,6 +148,7 @@ def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
 def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
         return command(argv[0], argv[1:])
+    refuse_command(argv)
     arguments = split(argv)
     start_petsc(arguments.petsc)
     from pdpetsc.discrete.communicator import world

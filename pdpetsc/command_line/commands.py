@@ -8,9 +8,11 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 
 from pdpetsc.command_line.arguments import Syntax, split
 from pdpetsc.command_line.start import processes_started
+from pdpetsc.declared import meant
 from pdpetsc.errors import CaseError
 
 OF_RUNS = ("-o", "--ranks", "--jobs", "--launcher", "--solver")
@@ -41,6 +43,13 @@ ALONE = ("plot", "report", "new", "import")
 def usage_of(module: str) -> str:
     """Return the usage of a command from the docstring of its module."""
     return inspect.getdoc(import_module(f"pdpetsc.command_line.{module}")) or ""
+
+
+def refuse_command(argv: Sequence[str]) -> None:
+    """Raise CaseError if the first word is no case file, and almost a command."""
+    word = argv[0] if argv else ""
+    if word.isidentifier() and not Path(word).exists() and (near := meant(word, COMMANDS, "did you mean {}?")):
+        raise CaseError(f"No command {word}; {near}")
 
 
 def command(name: str, argv: Sequence[str]) -> int:

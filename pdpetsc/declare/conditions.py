@@ -48,7 +48,12 @@ class Condition(Declared, ABC):
 
 def condition_name(condition: object, number: int) -> str:
     """Return the name of a condition in messages, such as ``Traction condition 2``; numbers start at 1."""
-    return f"{type(condition).__name__} condition {number}"
+    return f"{_kind(condition)} condition {number}"
+
+
+def _kind(condition: object) -> str:
+    """Return the name of a condition as a case writes it: ``Pressure`` makes a ``SurfacePressure``."""
+    return "Pressure" if type(condition) is SurfacePressure else type(condition).__name__
 
 
 @dataclass(frozen=True)
@@ -448,7 +453,7 @@ class SurfacePressure(Condition):
 
     def values(self, x: Float, t: float) -> Float:
         """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and load parameter ``t``, or raise SolveError."""
-        return values_of(type(self).__name__, self.value, self.schedule, x, t)
+        return values_of(_kind(self), self.value, self.schedule, x, t)
 
 
 @dataclass(frozen=True)

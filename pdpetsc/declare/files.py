@@ -272,8 +272,8 @@ class MeshNodes(Mesh):
         """
         if cracks:
             raise CaseError(
-                "MeshNodes has no faces of cracks, as conforming weights and surface loads need. Use a Mesh with the "
-                "cracks."
+                "cracks= needs pd.Mesh: pd.MeshNodes has no faces of cracks, which loads without a normal and "
+                "conforming weights need."
             )
         mesh, points, blocks = self._cells()
         found = facets(points, blocks)

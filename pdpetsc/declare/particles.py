@@ -198,6 +198,8 @@ class Lattice(Particles):
         super().__post_init__()
         low, high = self.box
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
+            if cells < 0.0:
+                raise CaseError(f"Corner low of the Lattice is above high along {axis}. Exchange low and high there.")
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
                     f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g}, not a whole number. Choose "
@@ -368,8 +370,8 @@ class LatticeNodes(Particles):
         """
         if cracks:
             raise CaseError(
-                "LatticeNodes has no faces of cracks, as conforming weights and surface loads need. Use a Lattice with "
-                "the cracks."
+                "cracks= needs pd.Lattice: pd.LatticeNodes has no faces of cracks, which loads without a normal and "
+                "conforming weights need."
             )
         x, offsets, filled = self._corners(part, parts)
         dim = x.shape[1]

@@ -15,6 +15,8 @@ from pdpetsc.errors import CaseError
 
 # A rigid motion is free if the supports resist it by less than this share of the most resisted one.
 RANK_TOLERANCE = 1e-12
+# Components of a free motion below this number are round-off.
+FREE = 1e-5
 
 
 def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = None) -> GlobalIndex:
@@ -88,16 +90,47 @@ def refuse_rigid_motion(
             sums[piece] = sums.get(piece, 0.0) + matrix
     free = {}
     for piece, matrix in sums.items():
-        values = np.linalg.eigvalsh(matrix)
+        values, vectors = np.linalg.eigh(matrix)
         rank = int(np.count_nonzero(values > RANK_TOLERANCE * max(float(values[-1]), 1e-300)))
         if rank < n_modes:
-            free[piece] = n_modes - rank
+            free[piece] = vectors[:, : n_modes - rank]
     if free:
-        piece, missing = min(free.items())
+        piece = min(free)
+        missing, motions = free[piece].shape[1], _words_of(free[piece], cloud)
         where = "The body" if len(sums) == 1 else f"The piece with particle {piece} ({len(free)} of {len(sums)} pieces)"
         raise CaseError(
-            f"{where} is left with {missing} of {n_modes} rigid motions; prescribe more displacement components."
+            f"{where} is left with {missing} of {n_modes} rigid motions: {motions}. Prescribe more displacement "
+            "components."
         )
+
+
+def _words_of(free: Float, cloud: Cloud) -> str:
+    """Return the names of free rigid motions, orthonormal columns (modes, n) in the order of ``rigid_at``."""
+    dim = cloud.dim
+    axes = ["xyz"[3 - sum(plane)] for plane in _planes(cloud)]
+    _, sizes, combined = np.linalg.svd(free[dim:])
+    turning = int(np.count_nonzero(sizes > FREE))
+    kinds = (
+        ("translation in", "xyz", free[:dim] @ combined[turning:].T),
+        ("rotation about", axes, free[dim:] @ combined[:turning].T),
+    )
+    words = []
+    for kind, letters, motions in kinds:
+        if motions.shape[1]:
+            span, _, _ = np.linalg.svd(motions, full_matrices=False)
+            shares = np.linalg.norm(span, axis=1)
+            along = [axis for axis, share in zip(letters, shares, strict=False) if share > 1.0 - FREE]
+            # Otherwise the motions are inclined to the axes, as on a roller that is.
+            named = sorted(along) if len(along) == span.shape[1] else ["an inclined axis"]
+            words.append(f"{kind} {', '.join(named)}")
+    return " and ".join(words)
+
+
+def _planes(cloud: Cloud) -> list[tuple[int, int]]:
+    """Return the pairs of axes in which the body can rotate."""
+    periodic = [] if cloud.images is None else cloud.images.cell.periodic
+    planes = [(0, 1), (1, 2), (2, 0)][: {1: 0, 2: 1, 3: 3}[cloud.dim]]
+    return [plane for plane in planes if not set(plane) & set(periodic)]
 
 
 def rigid_modes(cloud: Cloud) -> Float:
@@ -127,9 +160,7 @@ def rigid_at(cloud: Cloud, points: Float) -> Float:
     centre = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
     size = float(np.sqrt(total(cloud.comm, ((x - centre) ** 2).sum()) / cloud.n_global)) or 1.0
     r = (points - centre) / size
-    periodic = [] if cloud.images is None else cloud.images.cell.periodic
-    planes = [(0, 1), (1, 2), (2, 0)][: {1: 0, 2: 1, 3: 3}[dim]]
-    planes = [plane for plane in planes if not set(plane) & set(periodic)]
+    planes = _planes(cloud)
     modes = np.zeros((n, dim, dim + len(planes)))
     for d in range(dim):
         modes[:, d, d] = 1.0

@@ -18,6 +18,8 @@ from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.output.files import write_whole
 
 LOCK = ".pdpetsc-lock"
+# Marks the folder of a study and those of its runs.
+STUDY = ".pdpetsc-study"
 # Attempts of a process to get access to the lock file, 0.01 s apart.
 PATIENCE = 300
 # Folder to which a new run moves the results of the run before.
@@ -190,7 +192,8 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
     Raises
     ------
     CaseError
-        A file that pdpetsc did not write has the name of an output file, or the checkpoint would be removed.
+        The folder is that of a study, a file that pdpetsc did not write has the name of an output file, or the
+        checkpoint would be removed.
     OutputError
         A file cannot be moved.
     """
@@ -198,6 +201,8 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
         if not is_root(comm):
             return
         try:
+            if any(folder.glob(f"*/{STUDY}")):
+                raise CaseError(f"{folder} is the folder of a study, with one for each run. Choose another folder.")
             found = _of_earlier_run(folder)
             if not found:
                 return

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pdpetsc.declared import ByName
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.output.folder import set_history_aside
@@ -38,7 +39,7 @@ class History(Observer):
 
     def __init__(self, quantities: Mapping[str, Quantity]) -> None:
         self.quantities = quantities
-        self.columns: dict[str, list[float]] = {name: [] for name in ("step", "t", *quantities)}
+        self.columns = ByName[list[float]]("history", {name: [] for name in ("step", "t", *quantities)})
 
     def rehearse(self, start: Solution, report: Report) -> None:
         """Evaluate the quantities and print their notes; raises CaseError unless they are numbers."""

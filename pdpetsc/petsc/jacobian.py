@@ -164,8 +164,8 @@ def words(choice: Choice, predicted: int) -> str:
     if choice.matrix_free:
         by = "a background grid" if choice.levels else "the matrix of nearest neighbours"
         return (
-            f"tangent: matrix-free, preconditioned by {by} of {predicted / 2**20:.1f} MiB (an assembled matrix would "
-            f"take about {choice.estimate / 2**20:.0f} MiB)"
+            f"tangent: matrix-free; preconditioner: {by}, {predicted / 2**20:.1f} MiB (the assembled tangent would "
+            f"need about {choice.estimate / 2**20:.0f} MiB)"
         )
     return (
         f"tangent: assembled matrix of {predicted / 2**20:.1f} MiB, {'direct' if choice.direct else 'iterative'} solver"

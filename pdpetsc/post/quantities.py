@@ -72,6 +72,8 @@ class Quantity(Declared, ABC):
     """
 
     of_path: ClassVar[bool] = False
+    # What to write for a function in place of a quantity.
+    instead_of_function: ClassVar[str] = "wrap the function f as pd.Mean(f), pd.Largest(f) or pd.Smallest(f)"
 
     def __post_init__(self) -> None:
         accept_region_name(self)
@@ -223,7 +225,7 @@ class Reaction(Quantity):
         fixed = solution.problem.supports.fixed[: len(mask), "xyz".index(self.component)]
         if int(solution.sum(float(np.count_nonzero(mask & fixed)))):
             return ""
-        return f"is the reaction of particles of which none is held in {self.component}, which is 0"
+        return f"is 0, because none of its particles is held in {self.component}"
 
 
 @dataclass(frozen=True)
@@ -584,8 +586,28 @@ class Largest(_OfField):
 
 
 @dataclass(frozen=True)
+class Smallest(_OfField):
+    """Smallest value of a field component over a region, such as the largest compression.
+
+    Parameters
+    ----------
+    field, component, region
+        As for ``Mean``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> compression = pd.Smallest(pd.stress, "yy", "-y")
+    """
+
+    def evaluate(self, solution: Solution) -> float:
+        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
+        return -solution.largest(float((-values).max(initial=-np.inf)))
+
+
+@dataclass(frozen=True)
 class OnSurface(_OfField):
-    """A field component on facets of the surface: their mean by area, or the largest value.
+    """A field component on facets of the surface: their mean by area, or the largest or smallest value.
 
     Particles are half a cell inside the body, and gradients next to the surface have an error of a share of a spacing
     times the next derivative. Stress and other fields of gradients are therefore extrapolated linearly from particles
@@ -600,8 +622,8 @@ class OnSurface(_OfField):
         As for ``Mean``.
     region : Region
         The facets in the region, or their tag.
-    take : {"mean", "largest"}
-        The mean by area, or the largest value.
+    take : {"mean", "largest", "smallest"}
+        The mean by area, or the largest or smallest value.
 
     Examples
     --------
@@ -609,14 +631,9 @@ class OnSurface(_OfField):
     >>> at_the_hole = pd.OnSurface(pd.stress, "yy", pd.region.Sphere((0.0, 0.0), radius=1.01), take="largest")
     """
 
-    take: Literal["mean", "largest"] = "mean"
+    take: Literal["mean", "largest", "smallest"] = "mean"
 
     on_surface: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.take not in ("mean", "largest"):
-            raise CaseError(f'An OnSurface takes take="mean" or "largest", not {self.take!r}.')
 
     def on_facets(self, solution: Solution) -> tuple[Float, Float, Float]:
         """Return centroids (n, dim) [length] and vector areas (n, dim) of local facets, and the field there.
@@ -642,6 +659,8 @@ class OnSurface(_OfField):
         _, area, found = self.on_facets(solution)
         if self.take == "largest":
             return solution.largest(float(found.max(initial=-np.inf)))
+        if self.take == "smallest":
+            return -solution.largest(float((-found).max(initial=-np.inf)))
         size = np.linalg.norm(area, axis=1)
         moment, whole = solution.sum([size @ found, size.sum()])
         return float(moment / whole)

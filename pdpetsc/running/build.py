@@ -698,8 +698,11 @@ def materials_of(case: Case, cloud: Cloud) -> OfParticles:
     with agreed(cloud.comm):
         wrong = np.flatnonzero(count != 1)
         if len(wrong):
-            gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
-            raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
+            place = ", ".join(f"{c:.6g}" for c in x[wrong[0]])
+            found = f"{count[wrong[0]]} materials" if count[wrong[0]] else "no material"
+            raise CaseError(
+                f"Particle {cloud.gid[wrong[0]]} at ({place}) has {found}; let the regions cover every particle once."
+            )
     graded = any(grading_of(material) is not None for _, material in case.materials)
     return OfParticles([ungraded(material) for _, material in case.materials], index, factor if graded else None)
 

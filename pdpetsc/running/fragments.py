@@ -66,7 +66,8 @@ class Fragments(Observer):
         self._pieces = {"pieces": {"pieces": pieces, "lone_particles": lone, "forces_left": left}}
         body = "the body is in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
         beside = f" and {lone} lone particles" if lone else ""
-        carried = f"; the last load is {100.0 * left:.3g} % of the largest of this run" if left == left else ""
+        share = f"{100.0 * left:.3g} %" if left > 1e-4 else "less than 0.01 %"
+        carried = f"; the last load is {share} of the largest of this run" if left == left else ""
         self.observed.report.say(f"{body}{beside}{carried}")
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:

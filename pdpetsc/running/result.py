@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float
 from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.expected import Expected
+from pdpetsc.declared import ByName, near_or_all
 from pdpetsc.errors import CaseError, RunError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
@@ -65,7 +66,8 @@ class Result(Mapping[str, float]):
         solution: Solution | None = None, run: str | None = None, expect: Mapping[str, Expected] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
-        self.history: dict[str, Float] = {name: np.asarray(values, dtype=float) for name, values in history.items()}
+        columns = {name: np.asarray(values, dtype=float) for name, values in history.items()}
+        self.history: dict[str, Float] = ByName("history", columns)
         self.summary = dict(summary)
         self.solution = solution
         self._results = dict(results)
@@ -74,7 +76,7 @@ class Result(Mapping[str, float]):
 
     def __getitem__(self, name: str) -> float:
         if name not in self._results:
-            raise KeyError(f"There is no result {name!r}; there are {', '.join(self._results) or 'none'}.")
+            raise KeyError(f"The run has no result {name!r}; {near_or_all(name, self._results)}")
         return self._results[name]
 
     def __iter__(self) -> Iterator[str]:

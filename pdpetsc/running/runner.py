@@ -39,7 +39,7 @@ from pdpetsc.solvers.protocol import Solver, Start, StepResult
 
 # A case with the dimension, scheme, materials and damage of an earlier one loads its kernels from numba's cache. An
 # elastic plane body compiles for 20 s, a plastic solid for 110 s.
-COMPILING = "compiling kernels, 20 s to 2 min, once for each kind of case, processor and version ..."
+COMPILING = "compiling kernels for this kind of case: 20 s to 2 min now, none in later runs ..."
 
 # Added over free mass from which a run warns.
 MUCH_MASS = 0.05

@@ -253,17 +253,20 @@ class Solver(ABC):
         last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
         negative = result.negative_pivots or 0
         pivots = f"{negative} negative pivot{'s' if negative > 1 else ''}"
-        inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
+        growth = f"a deviation grows by the factor {result.growth:.2f} in a sweep"
+        # The predictor is a linear solve too, which may be enough.
+        by = "" if result.iterations else " of the predictor"
+        inner = f" ({result.linear_iterations} linear{by})" if result.linear_iterations else ""
         return (
-            f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit}{inner} iterations, "
+            f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit} iterations{inner}, "
             f"residual {last:.1e}"
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
-            f"{f', unstable equilibrium ({pivots})' if negative else ''}"
+            f"{f', unstable equilibrium ({pivots}), as after buckling or a peak load' if negative else ''}"
             f"{f', moved for {result.moved:.3g} to rest' if result.moved else ''}"
             f"{f', switched to the stable branch, {result.switched:.3g} away' if result.switched else ''}"
             f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
-            f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
-            f"{f', not unique (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
+            f"{f', damage settled in {converged.sweeps} sweeps' if converged.sweeps else ''}"
+            f"{f', other equilibria are near ({growth})' if result.growth > 1.0 else ''}"
         )
 
     @property

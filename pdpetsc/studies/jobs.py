@@ -72,7 +72,7 @@ class Job:
         except OSError:
             return "no message."
         lines = [line.removeprefix("pdpetsc: ") for line in text.splitlines() if line.startswith("pdpetsc: ")]
-        return lines[-1] if lines else (text.strip().splitlines() or ["no message."])[-1]
+        return lines[-1] if lines else _last_message(text)
 
     def ask_to_end(self) -> None:
         """Send the signal to end."""
@@ -87,6 +87,21 @@ class Job:
             with contextlib.suppress(OSError):
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
+
+
+def _last_message(text: str) -> str:
+    """Return the last line of a log, or the first line of the launcher's banner at its end, between lines of dashes.
+
+    The banner of Open MPI that begins with "Primary job" only reports that a rank failed.
+    """
+    blocks: list[list[str]] = [[]]
+    for line in filter(None, map(str.strip, text.splitlines())):
+        if set(line) == {"-"}:
+            blocks.append([])
+        else:
+            blocks[-1].append(line)
+    messages = [block[0] if number % 2 else block[-1] for number, block in enumerate(blocks) if block]
+    return ([message for message in messages if not message.startswith("Primary job")] or ["no message."])[-1]
 
 
 def end_all(jobs: Sequence[Job]) -> None:

@@ -13,11 +13,10 @@ from typing import Any, Literal
 from pdpetsc.declared import Declared, Finite
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
+from pdpetsc.output.folder import STUDY
 from pdpetsc.studies.refinement import NOISE
 from pdpetsc.studies.run_identity import contents, differing
 
-# Marks a folder created by a study; other folders must be empty.
-MARK = ".pdpetsc-study"
 # The record of the end of a run.
 RECORD = "outcome.json"
 # Output of the run.
@@ -116,14 +115,14 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise CaseError(f"{folder} is not a folder that a study has made; give another one with -o.")
         folder.mkdir(parents=True, exist_ok=True)
-        if (folder / MARK).is_file():
+        if (folder / STUDY).is_file():
             return
         foreign = [path.name for path in folder.iterdir() if not path.name.startswith(".pdpetsc-lock")]
         if writes:
             foreign = [name for name in foreign if name in writes]
         if foreign:
             raise CaseError(f"{folder} holds files that no study has written; give another folder with -o.")
-        (folder / MARK).write_text("A folder of pdpetsc study.\n")
+        (folder / STUDY).write_text("A folder of pdpetsc study.\n")
     except OSError as error:
         raise CaseError(f"Cannot write to the folder {folder}: {error.strerror or error}.") from None
 

@@ -179,6 +179,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
             horizon, normal = cloud.horizon, ", ".join(f"{n:.2g}" for n in fan[shares.index(worst)])
             what = "onset" if all(law.strength is None for law in self.damage_laws.laws) else "strength"
             across = f" for a crack across ({normal})" if self.damage_laws.varies else ""
+            stiffest = largest(comm, float(self._soft.max(initial=0.0))) / RESIDUAL
+            strengths = [law.strength for law in self.damage_laws.laws if isinstance(law.strength, float | int)]
+            if strengths and max(strengths) > stiffest:
+                raise CaseError(
+                    f"The strength {max(strengths):g} of PointDamage is above E = {stiffest:g} of the material; check "
+                    f"the units."
+                )
             raise CaseError(
                 f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
                 f"{horizon:g}{across}; take a horizon below {horizon / worst:g}, or a lower {what}."

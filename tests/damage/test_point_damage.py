@@ -224,6 +224,9 @@ def test_refusals():
     strong = dataclasses.replace(case.damage, strength=5.0)
     with pytest.raises(pd.CaseError, match="take a horizon below"):
         pd.prepare(dataclasses.replace(case, damage=strong))
+    of_other_units = dataclasses.replace(case.damage, strength=4e6)
+    with pytest.raises(pd.CaseError, match=r"The strength 4e\+06 of PointDamage is above E = 100 of the material;"):
+        pd.prepare(dataclasses.replace(case, damage=of_other_units))
     with pytest.raises(pd.CaseError, match="PointDamage requires materials of deformation gradients"):
         dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
 

@@ -514,8 +514,8 @@ def test_a_plane_lies_anywhere_and_the_body_on_either_side():
         ({"symmetry": [pd.Symmetry("x"), pd.Symmetry("x", at=4.0)]}, "one Symmetry across an axis"),
         ({"symmetry": [pd.Symmetry("x")], "cell": pd.Cell((0.0, 0.0), (4.0, 5.0), "x")}, "periodic in x"),
         ({"symmetry": pd.Symmetry("x")}, "put it into a list"),
-        ({"symmetry": [pd.Symmetry("y")], "conditions": []}, "1 of 3 rigid motions"),
-        ({"symmetry": [], "conditions": []}, "3 of 3 rigid motions"),
+        ({"symmetry": [pd.Symmetry("y")], "conditions": []}, "1 of 3 rigid motions: translation in x. Prescribe"),
+        ({"symmetry": [], "conditions": []}, "3 of 3 rigid motions: translation in x, y and rotation about z. "),
         # Cut from its image a piece moves as it likes, but for the turn that only its own image stops.
         ({"symmetry": [pd.Symmetry("y")], "cracks": [pd.PlaneCrack((0.0, 2.0), (0.0, 1.0))]}, "piece with particle 2"),
     ],
@@ -538,7 +538,7 @@ def test_planes_alone_hold_what_they_hold_of_the_whole(planes):
     load = [pd.Pressure(pd.region.All(), 0.1)]
     case = dataclasses.replace(pulled(planes, False), conditions=load)
     if planes == "x":
-        with pytest.raises(pd.CaseError, match="1 of 3 rigid motions"):
+        with pytest.raises(pd.CaseError, match="1 of 3 rigid motions: translation in y"):
             pd.prepare(case)
     else:
         _, found, _ = solved(case)

@@ -683,7 +683,7 @@ def test_what_fails_in_a_pressure_is_named():
     plate = shaken_plate()
     case = uniform(plate, 0.26, [pd.region.Named("-x"), pd.region.Named("+x")])
     bad = pd.Pressure(pd.region.Named("+y"), lambda x, t: x)
-    with pytest.raises(pd.CaseError, match="value of a SurfacePressure condition"):
+    with pytest.raises(pd.CaseError, match="value of a Pressure condition"):
         pd.prepare(pd.Case(**{**vars(case), "conditions": [*case.conditions, bad]}))
 
 
@@ -742,8 +742,8 @@ def test_a_crack_between_nodes_leaves_standard_weights_and_a_warning_that_names_
     nodes = pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125)
     _, note = of_case(pulled(nodes, cracks=[pd.Segment((0.6, 0.55), (1.4, 0.55))]), tmp_path)
     why = (
-        "standard weights, which may not converge here. LatticeNodes has no faces of cracks, as conforming weights and "
-        "surface loads need. Use a Lattice with the cracks."
+        "standard weights, which may not converge here. cracks= needs pd.Lattice: pd.LatticeNodes has no faces of "
+        "cracks, which loads without a normal and conforming weights need."
     )
     assert note.endswith(why)
     assert [record.message for record in caplog.records if record.levelname == "WARNING"] == [
@@ -778,7 +778,7 @@ def test_options_of_a_run_reach_the_solver_of_the_weights(tmp_path):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_field_on_the_surface_is_exact_where_it_is_linear(ranks, tmp_path):
-    """Particles of a shaken cloud; the mean by area and the largest over one side of 2 x + 3 y."""
+    """Particles of a shaken cloud; the mean by area, the largest and the smallest over one side of 2 x + 3 y."""
     script = tmp_path / "linear.py"
     script.write_text(
         textwrap.dedent(
@@ -797,6 +797,8 @@ def test_a_field_on_the_surface_is_exact_where_it_is_linear(ranks, tmp_path):
                 history = {{
                     "mean": pd.OnSurface(linear, "", ends[1]),
                     "largest": pd.OnSurface(linear, "", ends[1], take="largest"),
+                    "smallest": pd.OnSurface(linear, "", ends[1], take="smallest"),
+                    "inside": pd.Smallest(lambda solution: -linear(solution)),
                 }}
                 return pd.Case(**{{**vars(case), "history": history, "results": lambda h: {{k: h[k][-1] for k in h}}}})
             """
@@ -805,6 +807,9 @@ def test_a_field_on_the_surface_is_exact_where_it_is_linear(ranks, tmp_path):
     found = results(script, output=tmp_path / "out", ranks=ranks)["results"]
     assert found["mean"] == pytest.approx(4.0 + 1.5, rel=1e-12)
     assert found["largest"] == pytest.approx(4.0 + 3.0 * 15 / 16, rel=1e-12)
+    assert found["smallest"] == pytest.approx(4.0 + 3.0 / 16, rel=1e-12)
+    x = shaken_plate().x
+    assert found["inside"] == pytest.approx(-(2.0 * x[:, 0] + 3.0 * x[:, 1]).max(), rel=1e-12)
 
 
 def bent(half):
@@ -869,7 +874,7 @@ def test_corners_of_a_lattice_share_its_cells_and_faces(low, high, cut):
 
 
 def test_corners_have_no_cracks():
-    with pytest.raises(pd.CaseError, match=r"LatticeNodes has no faces of cracks, .* Use a Lattice with the cracks"):
+    with pytest.raises(pd.CaseError, match=r"cracks= needs pd.Lattice: pd.LatticeNodes has no faces of cracks"):
         pieces(pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), 0.51, cracks=[pd.Segment((0.6, 0.6), (0.9, 0.6))])
 
 

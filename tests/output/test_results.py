@@ -241,7 +241,8 @@ def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
 
 
 def test_words_that_are_nearly_right_are_named(tmp_path):
-    assert "did you mean the command doctor?" in called("docter").stderr
+    assert called("docter").stderr == "pdpetsc: No command docter; did you mean doctor?\n"
+    assert called("plt", tmp_path, "scale=2").stderr == "pdpetsc: No command plt; did you mean plot?\n"
     new(tmp_path / "bar.py")
     finished = called(tmp_path / "bar.py", "stres=0.1", "-o", tmp_path / "out")
     assert finished.returncode == 2 and "did you mean stress?" in finished.stderr

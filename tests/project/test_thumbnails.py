@@ -45,17 +45,23 @@ def test_a_thumbnail_shows_the_whole_body_and_nothing_else(dim, tmp_path):
     assert dim == 1 or drawn[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].mean() > (0.95 if dim == 2 else 0.5)
 
 
-def test_the_front_page_has_its_film_only_if_it_was_drawn(tmp_path):
-    pytest.importorskip("sphinx", reason="make docs installs what the site is built with")
+def test_the_site_has_film_and_gallery_only_if_they_were_drawn(tmp_path):
     shutil.copyfile(DOCS / "conf.py", tmp_path / "conf.py")
-    conf, text = module(tmp_path / "conf.py"), (DOCS / "index.md").read_text(encoding="utf-8")
-    assert "examples/images/crack.gif" in text
-    without = [text]
-    conf.without_gallery(None, "index", without)
-    assert "examples/" not in without[0] and "% end of" not in without[0]
+    pytest.importorskip("sphinx", reason="make docs installs what the site is built with")
+    conf = module(tmp_path / "conf.py")
+    pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("index.md", "start.md", "how_to/checks.md")]
+
+    def read(text: str) -> str:
+        source = [text]
+        conf.with_gallery(None, "page", source)
+        return source[0]
+
+    front, start, checks = map(read, pages)
+    assert "pictures/front_panel.png" in front and "examples/" not in front and "% end of" not in front
+    assert "/blob/main/runs/README.md)" in start and "../runs" not in start + checks
     (tmp_path / "examples" / "images").mkdir(parents=True)
     (tmp_path / "examples" / "images" / "crack.gif").touch()
     (tmp_path / "examples" / "index.md").touch()
-    complete = [text]
-    conf.without_gallery(None, "index", complete)
-    assert complete == [text]
+    front, start, checks = map(read, pages)
+    assert "(examples/images/crack.gif)" in front and ":link: examples/index" in front
+    assert "[Examples](examples/index.md)" in start and "[examples](../examples/index.md)" in checks

@@ -43,6 +43,12 @@ def test_a_result_has_names_history_fields_and_the_last_solution(tmp_path):
     np.testing.assert_array_equal(stored[:, :2], gathered)
     assert result.field("stress", step=1).shape == (64, 3, 3)
     assert result.gathered(pd.energy_density).shape == (64,)
+    with pytest.raises(KeyError, match=r"The run has no result 'v'; it has u\."):
+        result["v"]
+    with pytest.raises(KeyError, match=r"The history has no 'enrgy'; did you mean energy\?"):
+        result.history["enrgy"]
+    with pytest.raises(pd.RunError, match=r"KeyError: .The history has no 'enrgy'; did you mean energy\?"):
+        pd.run(bar(results=lambda h: {"e": h["enrgy"][-1]}), output=tmp_path / "misspelt")
 
 
 def test_a_finished_folder_gives_the_same(tmp_path):

@@ -624,7 +624,7 @@ def test_the_log_says_how_long_and_how_often_kernels_are_compiled(cached, monkey
     )
     pd.run(case, cached / "out")
     said = [record.message for record in caplog.records]
-    assert said[0] == "compiling kernels, 20 s to 2 min, once for each kind of case, processor and version ..."
+    assert said[0] == "compiling kernels for this kind of case: 20 s to 2 min now, none in later runs ..."
     assert "cannot be written: PermissionError: no. Set NUMBA_CACHE_DIR to a folder of yours." in said[1]
 
 

@@ -16,13 +16,15 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.commands import command
 from pdpetsc.command_line.start import files_of_options
+from pdpetsc.discrete.communicator import alone
 from pdpetsc.output.fingerprint import fingerprint
+from pdpetsc.output.folder import set_aside
 from pdpetsc.studies.fit import Point, _write, fitted
-from pdpetsc.studies.jobs import launched, too_many
+from pdpetsc.studies.jobs import Job, launched, too_many
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
 from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
-from pdpetsc.studies.run_store import Outcome, folder_of, kept
+from pdpetsc.studies.run_store import Outcome, folder_of, kept, take
 from pdpetsc.studies.sets import Range, combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
 from tests.command_line.test_tools import ENVIRONMENT, tool
@@ -631,6 +633,40 @@ def test_side_by_side_they_use_the_cores_that_there_are(monkeypatch):
     assert launched(["a"], 2, None) == ["mpirun", "-n", "2", "a"]
     assert launched(["a"], 3, "srun --ntasks={ranks}") == ["srun", "--ntasks=3", "a"]
     assert launched(["a"], 1, None) == ["a"]
+
+
+DASHES = 74 * "-" + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no message."),
+        (f"{DASHES}{DASHES}", "no message."),
+        ("step 1\npdpetsc: The case has no parameter n.\n" + DASHES + "Primary job terminated\nat 1\n" + DASHES,
+         "The case has no parameter n."),
+        (f"{DASHES}mpirun has detected an attempt to run as root.\n\nRunning as root is\n{DASHES}",
+         "mpirun has detected an attempt to run as root."),
+        (f"ImportError: no h5py\n{DASHES}Primary job  terminated\n{DASHES}", "ImportError: no h5py"),
+        (f"step 1\n{DASHES}Primary job  terminated\n{DASHES}{DASHES}mpirun noticed that rank 0 exited\n{DASHES}",
+         "mpirun noticed that rank 0 exited"),
+        (f"{DASHES}A warning of the launcher\nof two lines\n{DASHES}Traceback\nKeyError: 3\n", "KeyError: 3"),
+    ],
+)  # fmt: skip
+def test_a_failed_run_has_the_message_and_not_the_lines_of_the_launcher(text, said, tmp_path):
+    job = Job(["true"], tmp_path / "log.txt")
+    wait_until(lambda: job.ended is not None, "the end of the run")
+    job.log.write_text(text)
+    assert job.said == said
+
+
+def test_a_run_refuses_the_folder_of_a_study(tmp_path):
+    take(tmp_path / "study", ("study.csv",))
+    take(tmp_path / "study" / "n=1")
+    refused = "is the folder of a study, with one for each run. Choose another folder."
+    with pytest.raises(pd.CaseError, match=refused):
+        set_aside(alone(), tmp_path / "study")
+    set_aside(alone(), tmp_path / "study" / "n=1")
 
 
 def test_every_parameter_set_has_a_folder_of_its_own(tmp_path):

@@ -200,9 +200,10 @@ class PathSolver(SnesSolver):
             failures = []
             fallen = result.reference <= options.until * highest
             if fallen or self._measure.at_end(u):
-                left = f"{result.reference / highest:.2g} of the largest forces" if highest > 0.0 else "no force"
-                why = f"the load fell to until={options.until:g}" if fallen else "the measure came to its end"
-                self.ended = f"the path ended because {why}; {left} left"
+                left = f"{result.reference / highest if highest > 0.0 else 0.0:.2g} of their largest"
+                why = f"the forces fell to {left} (until={options.until:g})"
+                why = why if fallen else f"its measure reached its end; the forces are {left}"
+                self.ended = f"the path ended because {why}"
                 return
         raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
 

@@ -343,6 +343,11 @@ class LatticeNodes(Particles):
         super().__post_init__()
         self._cells  # noqa: B018 - refuses what is no lattice
 
+    @property
+    def box(self) -> tuple[Float, Float]:
+        """Return the corners of the body (dim,) [length]."""
+        return self._cells.box
+
     on_surface = True
 
     def estimate(self) -> int:

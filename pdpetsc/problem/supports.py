@@ -222,6 +222,10 @@ class Supports:
         counts = total(self.body.cloud.comm, here)
         return [(name, axes, int(count)) for (name, (axes, _)), count in zip(found.items(), counts, strict=True)]
 
+    def held_components(self) -> list[tuple[str, int, GlobalIndex]]:
+        """Return name, component and own particles of each prescribed component, by condition (not collective)."""
+        return [(held.name, held.axis, held.where) for held in self._held]
+
     def held_at_cut_families(self) -> int:
         """Count the particles held in the direction in which their family is cut, next to free particles.
 

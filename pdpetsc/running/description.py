@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import Any
 
 from pdpetsc.case import Case, ungraded
-from pdpetsc.declare.conditions import Condition, Displacement, condition_name
 from pdpetsc.declare.cracks import recorded as recorded_crack
-from pdpetsc.declare.particles import Lattice
-from pdpetsc.declare.region import SIDES, Nearest
 from pdpetsc.declare.supports import PointSupport
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.discrete.selection import select
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.crack_energy import missed_fracture_energy
+from pdpetsc.running.held import layer_notes, named, particles_of_point_supports, support_warnings
 from pdpetsc.running.notes import notes
 from pdpetsc.running.suited import lame_ratio, locking_note, plastic_note
 from pdpetsc.running.suited import words as suited_words
 from pdpetsc.running.unbalanced_surface import unbalanced_areas
-
-Kind = TypeVar("Kind", bound=Condition)
 
 
 def versions_in_use() -> dict[str, str]:
@@ -134,13 +126,13 @@ def _scheme(case: Case, problem: Problem, declared: Case, report: Report) -> dic
 
 def _notes(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     """Return the warnings about the reliability of the results."""
-    locking = locking_note(case, problem)
-    if locking:
-        report.warn(locking)
+    warnings = [*filter(None, [locking_note(case, problem)]), *support_warnings(case, problem)]
+    for warning in warnings:
+        report.warn(warning)
     found = notes(case, problem)
     for note in found:
         report.say(f"note: {note}")
-    return {"notes": [*filter(None, [locking]), *found]}
+    return {"notes": [*warnings, *found]}
 
 
 def _loads(problem: Problem, report: Report) -> dict[str, Any]:
@@ -156,16 +148,8 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
         report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
     for name, axes, count in _held_in_the_mean(case, problem):
         report.say(f"{name}: mean of {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
-    for name, count in _held_twice(case, held):
-        report.warn(
-            f"{name} holds {count} particles equally near to its point, which may resist rotation as a clamp does; use "
-            f"pd.PointSupport on a patch about it."
-        )
-    for name, side in _held_inside(case, problem):
-        report.say(
-            f"note: {name} holds side {side} half a spacing inside the surface; pd.Clamp({side!r}) or "
-            f"pd.Roller({side!r}) holds the side itself"
-        )
+    for note in layer_notes(case, problem):
+        report.say(f"note: {note}")
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
         # With conforming weights a uniform stress is in equilibrium with the supports.
@@ -181,43 +165,8 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
 
 def _held_in_the_mean(case: Case, problem: Problem) -> list[tuple[str, str, int]]:
     """Return the name, the components and the number of particles of each point support."""
-    found, cloud = [], problem.body.cloud
-    for name, condition in _named(case, PointSupport):
-        axes = "".join("xyz"[axis] for axis, _ in condition.components(problem.dim))
-        found.append((name, axes, int(total(cloud.comm, np.count_nonzero(select(cloud, condition.region, name))))))
-    return found
-
-
-def _named(case: Case, kind: type[Kind]) -> list[tuple[str, Kind]]:
-    """Return the conditions of a kind with their names in messages."""
-    numbered = enumerate(case.conditions, 1)
-    return [(condition_name(one, number), one) for number, one in numbered if isinstance(one, kind)]
-
-
-def _held_twice(case: Case, held: Sequence[tuple[str, str, int]]) -> list[tuple[str, int]]:
-    """Return the names of displacements at a point that hold several particles, with their numbers."""
-    counts = {name: count for name, _, count in held}
-    points = [name for name, condition in _named(case, Displacement) if isinstance(condition.region, Nearest)]
-    return [(name, counts[name]) for name in points if counts[name] > 1]
-
-
-def _held_inside(case: Case, problem: Problem) -> list[tuple[str, str]]:
-    """Return the names of displacements that hold all outermost particles of a side of a lattice, and the sides."""
-    if not isinstance(case.particles, Lattice):
-        return []
-    found: list[tuple[str, str]] = []
-    cloud = problem.body.cloud
-    x = cloud.x[: cloud.n_owned]
-    low, high = (np.asarray(end, dtype=float) for end in case.particles.box)
-    half = 0.5 * case.particles.spacing
-    for name, condition in _named(case, Displacement):
-        held = select(cloud, condition.region, name)
-        for side in SIDES[: 2 * cloud.dim]:
-            axis = "xyz".index(side[1])
-            if getattr(condition, side[1]) is None or side in case.particles.fictitious:
-                continue
-            outermost = np.abs(x[:, axis] - (low[axis] + half if side[0] == "-" else high[axis] - half)) < half
-            n, of_these = total(cloud.comm, [np.count_nonzero(outermost), np.count_nonzero(outermost & held)])
-            if 0 < n == of_these:
-                found.append((name, side))
-    return found
+    counts = particles_of_point_supports(case, problem)
+    return [
+        (name, "".join("xyz"[axis] for axis, _ in condition.components(problem.dim)), counts[name])
+        for name, condition in named(case, PointSupport)
+    ]

@@ -14,6 +14,7 @@ from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
+from pdpetsc.running.held import held_load_note, no_load_note
 from pdpetsc.running.thin import thin_note
 
 # At this ratio of shear moduli the stress within a horizon of an interface has an error of 25 % at any spacing; 14 % at
@@ -41,7 +42,8 @@ def notes(case: Case, problem: Problem) -> list[str]:
     -----
     Collective.
     """
-    found = [note_of(case, problem) for note_of in (staircase_note, interface_note, jump_note, thin_note)]
+    checks = (staircase_note, interface_note, jump_note, thin_note, held_load_note, no_load_note)
+    found = [note_of(case, problem) for note_of in checks]
     return [note for note in found if note]
 
 

@@ -24,6 +24,7 @@ from pdpetsc.running.stabilisation_energy import StabilisationEnergy
 from pdpetsc.running.stability import Stability
 from pdpetsc.running.turned_regions import TurnedRegions
 from pdpetsc.running.unbalanced_surface import UnbalancedForces
+from pdpetsc.running.untouched_tools import UntouchedTools
 
 
 def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> tuple[History, list[Observer]]:
@@ -50,6 +51,7 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         Fragments(),
         UnbalancedForces(case),
         TurnedRegions(case),
+        UntouchedTools(case),
         LargeStrain(case),
         EnergyBalance(case, problem),
         *([] if case.modes is None else [FoundModes(case, case.modes)]),

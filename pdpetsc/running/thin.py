@@ -1,4 +1,4 @@
-"""Note on a thin body that bends: the horizon is too wide for its thickness."""
+"""Note on a thin body that bends: few cells over its thickness, or a horizon too wide for it."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case
-from pdpetsc.declare.particles import Lattice
+from pdpetsc.declare.particles import Lattice, LatticeNodes
+from pdpetsc.declare.supports import Foundation
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import PdpetscError
+from pdpetsc.gradient import SubHorizons
 from pdpetsc.problem.problem import Problem
 
-# Thickness in horizons below which the deflection of a cantilever is 10 % or more too large: 73 % at 2, 34 % at 2.7 and
-# 13 % at 4 for horizons of 1.5 spacings, 31 % at 2 and 9 % at 4 for 3.015. Half of the families or more are then cut.
-THIN = 4.0
-# Thickness in horizons at which the error is 3 %.
-ACCURATE = 8.0
-# Horizons in spacings below which the error is not of this kind: a cantilever is 6 % too stiff with three particles.
-NEAREST, LEAST_RATIO = 1.25, 1.015
+# Thickness at which the deflection of a cantilever is off by about 5 %, in horizons if the horizon is wide, else in
+# cells (docs/reference/measured/defaults.md): a horizon of fewer spacings than NEAREST has nearest neighbours only, and
+# nodes with horizons below NARROW have conforming weights of second order. Half of it is off by 25 % or more, twice of
+# it by 3 % or less. Other schemes, weights and bond materials err at wide horizons by 10 to 140 %, with either sign.
+WIDE, NODES, NEAREST_LATTICE, NEAREST_NODES = 4.0, 3, 3, 8
+NEAREST, NARROW = 1.25, 2.25
+# The most accurate horizons in spacings.
+BEST, BEST_OF_NODES = 1.015, 2.015
 # Least ratio of length to thickness for which bending dominates.
 SLENDER = 4.0
 # Largest share of a layer that supports may hold across the body if it still bends.
@@ -38,34 +41,59 @@ def thin_note(case: Case, problem: Problem) -> str:
     Collective.
     """
     lattice, cloud, dim = case.particles, problem.body.cloud, problem.dim
-    if not isinstance(lattice, Lattice) or dim == 1 or cloud.varies:
+    if not isinstance(lattice, Lattice | LatticeNodes) or dim == 1 or cloud.varies:
         return ""
-    size = lattice.box[1] - lattice.box[0]
+    # Elastic beds carry load beside the bending stiffness.
+    if case.terms or any(isinstance(condition, Foundation) for condition in case.conditions):
+        return ""
+    low, high = lattice.box
+    size = high - low
     across, along = int(np.argmin(size)), int(np.argmax(size))
-    thicker = {f"-{'xyz'[across]}", f"+{'xyz'[across]}"} & set(lattice.fictitious)
-    if lattice.cut is not None or lattice.keep is not None or thicker:
+    layers = lattice.fictitious if isinstance(lattice, Lattice) else {}
+    if lattice.cut is not None or lattice.keep is not None or {f"-{'xyz'[across]}", f"+{'xyz'[across]}"} & set(layers):
         return ""
     bounded = across not in (() if case.cell is None else case.cell.periodic)
     mirrored = "xyz"[across] in [plane.axis for plane in case.symmetry]
-    thickness, spacing, horizon = float(size[across]), float(lattice.spacing), cloud.horizon
-    thin = NEAREST * spacing < horizon and thickness < THIN * horizon and size[along] >= SLENDER * thickness
-    if not thin or not bounded or mirrored or not _bends(case, problem, across, along):
+    cells, ratio = round(float(size[across]) / lattice.spacing), cloud.horizon / lattice.spacing
+    enough, best = _enough(case, ratio)
+    if cells >= enough or size[along] < SLENDER * size[across] or not bounded or mirrored:
         return ""
-    nearest = "" if case.of_bonds or case.damage is not None else f", or horizon={LEAST_RATIO * spacing:.4g}"
+    if not _bends(case, problem, across, along):
+        return ""
+    off = 25 if 2 * cells < enough else 5
+    other = f", or horizon={best * lattice.spacing:.4g}" if best and case.damage is None else ""
     return (
-        f"the body bends and is {thickness / horizon:.2g} horizons thick along {'xyz'[across]}: deflections are 10 % "
-        f"or more too large; use {math.ceil(ACCURATE * horizon / spacing - 0.5)} cells over it{nearest}"
+        f"the body bends and is {cells} cell{'s' if cells > 1 else ''} thick along {'xyz'[across]}, "
+        f"{cells / ratio:.2g} horizons: deflections are {off} % or more off; use {math.ceil(2 * enough - 0.5)} cells "
+        f"over it{other}"
     )
+
+
+def _enough(case: Case, ratio: float) -> tuple[float, float]:
+    """Return the thickness in cells of an error of 5 %, and a better horizon in spacings; 0 if there is none.
+
+    ``ratio`` is the horizon in spacings (not collective).
+    """
+    nodes = isinstance(case.particles, LatticeNodes)
+    if case.of_bonds or case.weights is not None or not isinstance(case.gradients, SubHorizons):
+        return (WIDE * ratio if ratio > NEAREST else 0.0), 0.0
+    if ratio <= NEAREST:
+        return (NEAREST_NODES, BEST_OF_NODES) if nodes else (NEAREST_LATTICE, 0.0)
+    if nodes and ratio < NARROW:
+        return NODES, 0.0
+    return WIDE * ratio, BEST_OF_NODES if nodes else BEST
 
 
 def _bends(case: Case, problem: Problem, across: int, along: int) -> bool:
     """Return True if supports leave the body free to bend, and the first step bends it (collective)."""
-    cloud, spacing = problem.body.cloud, case.particles.spacing  # type: ignore[attr-defined]
+    cloud, lattice = problem.body.cloud, case.particles
+    assert isinstance(lattice, Lattice | LatticeNodes)
     n, first = cloud.n_owned, min(case.steps.first, case.steps.stops()[0])
-    low, high = case.particles.box  # type: ignore[attr-defined]
-    counts = np.round((high - low) / spacing).astype(int)
+    low, high = lattice.box
+    nodes = isinstance(lattice, LatticeNodes)
+    counts = np.round((high - low) / lattice.spacing).astype(int) + nodes
     layer, section = (
-        np.clip(((cloud.x[:n, axis] - low[axis]) / spacing).astype(int), 0, counts[axis] - 1)
+        np.clip(((cloud.x[:n, axis] - low[axis]) / lattice.spacing + 0.5 * nodes).astype(int), 0, counts[axis] - 1)
         for axis in (across, along)
     )
 

@@ -71,6 +71,8 @@ class ContactForces(FacetContact):
         deepest = self._off(rest)
         if deepest > OVERLAP * spacing:
             raise CaseError(f"{title} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch.")
+        # Smallest gap of all converged states.
+        self._nearest = self.tool_gap(rest)
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
@@ -163,6 +165,13 @@ class ContactForces(FacetContact):
         """Store tangential tractions, multipliers and displacements; raise SolveError if the tool is too deep."""
         super().commit(state)
         self._slid_end[:] = self._seen(state)[0]
+        if self._nearest > self._allowed:
+            self._nearest = min(self._nearest, self.tool_gap(state))
+
+    @property
+    def untouched(self) -> float:
+        """Return the smallest gap up to the last converged state if the tool never touched, else 0 (not collective)."""
+        return self._nearest if self._nearest > self._allowed else 0.0
 
     @property
     def rigid(self) -> RigidBody | None:

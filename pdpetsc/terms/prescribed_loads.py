@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 
-from pdpetsc.arrays import Float
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.products import Product
@@ -35,6 +37,7 @@ class PrescribedLoads(Term):
     def __init__(self, body: Body) -> None:
         self.body = body
         self._resultants: list[tuple[str, float, Float]] = []
+        self._noted: list[Callable[[float], Float]] = []
         self._last: tuple[float, Float] | None = None
 
     @property
@@ -79,3 +82,14 @@ class PrescribedLoads(Term):
             raise CaseError(str(error)) from error
         acting = next((number for number, force in enumerate(sums) if force.any()), 0)
         self._resultants.append((name, SHOWN[acting], sums[acting]))
+        self._noted.append(forces)
+
+    def shares_on(self, held: Mask) -> list[tuple[str, float]]:
+        """Return name and share of the forces on components (n_owned, dim) of each load [-], 0 for a zero load."""
+        comm, n = self.body.cloud.comm, self.body.cloud.n_owned
+        found = []
+        for (name, t, _), forces in zip(self._resultants, self._noted, strict=True):
+            size = np.abs(forces(t)[:n])
+            on_held, whole = total(comm, [size[held].sum(), size.sum()])
+            found.append((name, float(on_held / whole) if whole > 0.0 else 0.0))
+        return found

@@ -461,3 +461,19 @@ def test_a_body_without_conforming_weights_is_not_pressed():
         refuse_contact_without_weights(block(), note)
     refuse_contact_without_weights(block(), "a note")
     refuse_contact_without_weights(block(conditions=[pd.Clamp("-y")]), note)
+
+
+@pytest.mark.parametrize("way, told", [(0.5, True), (2.0, False)])
+def test_a_tool_that_never_touches_is_told(way, told, tmp_path):
+    """A tool at a distance of 1 that returns to it at the end of the run."""
+    schedule = pd.Table((0.0, 0.5, 1.0), (0.0, 1.0, 0.0))
+    tool = pd.RigidPlane((0.0, 5.0), (0.0, -1.0), move=(0.0, -way), schedule=schedule)
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (8.0, 4.0), 1.0), material=pd.LinearElastic(E=1000.0, nu=0.3),
+        conditions=[pd.Clamp("-x"), pd.Clamp("-y"), pd.Traction("+x", x=1.0), pd.Contact("+y", tool)],
+        steps=pd.Steps(4),
+    )  # fmt: skip
+    warnings = pd.run(case, tmp_path).summary["warnings"]
+    assert len(warnings) == told
+    if told:
+        assert "The tool of Contact condition 4 never touched the body. The smallest gap was 0.5" in warnings[0]

@@ -440,7 +440,7 @@ def test_a_point_between_two_particles_that_are_held_is_told(tmp_path, caplog):
         )  # fmt: skip
         caplog.clear()
         pd.run(case, output=tmp_path / sides)
-        warned[sides] = "Displacement condition 2 holds 2 particles equally near" in caplog.text
+        warned[sides] = "Displacement condition 2 holds 2 particles near (2, 3.5)" in caplog.text
     assert warned == {"even": True, "odd": False}
 
 

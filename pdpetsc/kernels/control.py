@@ -31,11 +31,11 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
             i = particles[q]
             moment[:] = 0.0
             for t in range(indptr[i], indptr[i + 1]):
-                j = neighbours[t]
+                j, w = neighbours[t], weight[t]
+                eta, xi = difference(i, j, u, dim), difference(i, j, x, dim)
                 for m in range(dim):
-                    eta = weight[t] * (u[j, m] - u[i, m])
                     for n in range(dim):
-                        moment[m, n] += eta * (x[j, n] - x[i, n])
+                        moment[m, n] += w * eta[m] * xi[n]
             for m in range(dim):
                 for n in range(dim):
                     H[m, n] = 0.0

@@ -18,13 +18,14 @@ OFF = 0.05
 class EnergyBalance(Observer):
     """Warns if the external work is not the stored and dissipated energy, since damage jumped within a load step.
 
-    For damage at points of elastic bodies without inertia, temperature and friction, whose energies are all known.
+    For damage at points of elastic bodies without inertia, temperature, friction and terms of their own, whose energies
+    are all known.
     """
 
     def __init__(self, case: Case, problem: Problem) -> None:
         damage, inert = problem.damage, problem.inertia is None and not problem.touches and problem.symmetric
         of_points = damage is not None and damage.forces_have_energy and not case.of_bonds
-        elastic = of_points and not case.expands and not any(law.has_history for law in case.laws)
+        elastic = of_points and not case.expands and not case.terms and not any(law.has_history for law in case.laws)
         self._applies = inert and elastic
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:

@@ -13,6 +13,7 @@ from pdpetsc.declare.conditions import Condition, Displacement, condition_name
 from pdpetsc.declare.particles import Lattice, LatticeNodes
 from pdpetsc.declare.region import SIDES
 from pdpetsc.declare.supports import Clamp, PointSupport, RigidRegion
+from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import all_largest, largest, total
 from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.selection import select
@@ -194,10 +195,11 @@ def held_load_note(case: Case, problem: Problem) -> str:
 def no_load_note(case: Case, problem: Problem) -> str:
     """Return the note on a case without load, if it applies (collective).
 
-    The undeformed body is then in equilibrium at all load parameters. Motions, vibration modes, solved fields and
-    loaded rigid bodies are excluded.
+    The undeformed body is then in equilibrium at all load parameters. Motions, vibration modes, solved fields, tools
+    and loaded rigid bodies are excluded.
     """
-    if problem.inertia is not None or case.modes is not None or problem.fields or problem.rigid_bodies:
+    moving = problem.inertia is not None or problem.rigid_bodies or named(case, Contact)
+    if moving or case.modes is not None or problem.fields:
         return ""
     comm, zero = problem.body.cloud.comm, np.zeros(problem.supports.fixed.shape)
     try:

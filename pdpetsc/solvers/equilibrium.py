@@ -29,8 +29,6 @@ RESTS = 5
 SETTLINGS = 20
 # Tolerance on a norm that is computed again with another order of summation.
 SLACK = 1.0 + 1e-6
-# A Newton step does not move loose particles if it changes the forces of their springs by this share of the tolerance.
-UNFELT = 1e-3
 # Reason for no equilibrium of a loaded loose piece.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
 # Reason for no equilibrium with contact.
@@ -173,7 +171,7 @@ class Equilibrium:
         With the stiffness S of the springs the tangent is K + S. ``z = (K + S)^-1 S step`` is the part of the step in
         the null space of K: rigid motions of free pieces, and mechanisms of the remaining bonds. Forces ``S z`` cause
         it. If they are within the tolerance they are round-off, which S is far too soft to resist, and z is removed.
-        Otherwise a load acts on a loose piece, and the step is unchanged. So is a step that the springs hardly feel.
+        Otherwise a load acts on a loose piece, and the step is unchanged.
 
         Parameters
         ----------
@@ -192,14 +190,9 @@ class Equilibrium:
         def resistance(of: Float) -> Float:
             return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape))))
 
-        def norm(force: Float) -> float:
-            return float(np.sqrt(total(self.problem.body.cloud.comm, float((force**2).sum()))))
-
-        tolerance, force = max(self._tolerance(x, rtol)), resistance(step)
-        if norm(force) <= UNFELT * tolerance:
-            return step
-        loose = solve(force)
-        return step - loose[: len(step)] if norm(resistance(loose)) <= tolerance else step
+        loose = solve(resistance(step))
+        force = float(np.sqrt(total(self.problem.body.cloud.comm, float((resistance(loose) ** 2).sum()))))
+        return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
         """Update the tangent to ``x``; ``effort`` is that of the last linear solve (``PetscTangent.update``)."""

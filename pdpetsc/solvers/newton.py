@@ -251,7 +251,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
         more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
-        change = sought.held_in_place(more.ravel(), u, self._answer, self.rtol).reshape(u.shape) + jump
+        change = sought.held_in_place(more.ravel(), u, self._roughly, self.rtol).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self._comm, float(change.sum()))))
         return sought.at_prescribed(u + (change if finite else jump)), iterations
 

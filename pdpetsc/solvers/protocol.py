@@ -358,7 +358,7 @@ class StepSolver(Solver):
 
     @contextmanager
     def loosely(self, rtol: float | None = None) -> Iterator[None]:
-        """Relax the tolerance to ``rtol`` or the solver's choice in the ``with`` block, if it has one (collective)."""
+        """Relax the tolerance in the ``with`` block to ``rtol``, by default as the solver chooses (collective)."""
         yield
 
     @abstractmethod

@@ -21,6 +21,8 @@ from pdpetsc.solvers.unique import refuse_mechanism
 
 # Tolerance of intermediate equilibria.
 LOOSE = 1e-3
+# Tolerance of the solve for the motion of loose particles, of which this share then stays in a Newton step.
+ROUGH = 1e-5
 
 
 class SnesSolver(StepSolver):
@@ -127,15 +129,15 @@ class SnesSolver(StepSolver):
 
     @contextmanager
     def loosely(self, rtol: float | None = None) -> Iterator[None]:
-        """Relax the tolerances of SNES and its linear solver in the ``with`` block, by default to ``LOOSE``."""
-        ksp, loose = self.snes.getKSP(), LOOSE if rtol is None else rtol
-        rtol, of_linear = self.rtol, ksp.getTolerances()[0]
-        self.snes.setTolerances(rtol=max(rtol, loose))
-        ksp.setTolerances(rtol=max(of_linear, 0.1 * loose))
+        """Relax the tolerance of SNES in the ``with`` block, by default to ``LOOSE`` with that of its linear solver."""
+        ksp, of_linear, exact = self.snes.getKSP(), self.snes.getKSP().getTolerances()[0], self.rtol
+        self.snes.setTolerances(rtol=max(exact, LOOSE if rtol is None else rtol))
+        if rtol is None:
+            ksp.setTolerances(rtol=max(of_linear, 0.1 * LOOSE))
         try:
             yield
         finally:
-            self.snes.setTolerances(rtol=rtol)
+            self.snes.setTolerances(rtol=exact)
             ksp.setTolerances(rtol=of_linear)
 
     @property
@@ -261,6 +263,15 @@ class SnesSolver(StepSolver):
         found.destroy()
         return answer
 
+    def _roughly(self, b: Float) -> Float:
+        """Solve the last tangent for forces to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""
+        ksp = self.snes.getKSP()
+        rtol = ksp.getTolerances()[0]
+        ksp.setTolerances(rtol=max(rtol, ROUGH))
+        answer = self._answer(b)
+        ksp.setTolerances(rtol=rtol)
+        return answer
+
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         residual = self._equilibrium.residual(self._read(x))
         if residual is None:
@@ -288,7 +299,7 @@ class SnesSolver(StepSolver):
                 y.scale(-1.0)
         if not sought.resting:
             step = y.array_r * self._scales.length
-            y.array = sought.held_in_place(step, self._read(x), self._answer, self.rtol) / self._scales.length
+            y.array = sought.held_in_place(step, self._read(x), self._roughly, self.rtol) / self._scales.length
         moved = x.duplicate()
 
         def after(part: float) -> Float:

@@ -13,9 +13,9 @@ from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.declare.region import Named, Region
 from pdpetsc.discrete.communicator import agreed, largest, smallest, total
 from pdpetsc.discrete.surface import Surface
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
-from pdpetsc.terms.prescribed_loads import PrescribedLoads
+from pdpetsc.terms.prescribed_loads import SHOWN, PrescribedLoads
 
 # A facet faces the direction of a normal if the cosine of the angle between the two is above this.
 LOOKS = np.cos(np.pi / 4.0)
@@ -115,17 +115,24 @@ class SurfaceLoads(PrescribedLoads):
         return [f"{'-+'[sign]}{'xyz'[axis]}" for axis, sign in np.argwhere(of_sides.T > 0)]
 
     def _uniform(self, facets: GlobalIndex, forces: _OfFacets) -> bool:
-        """Return True if a traction is the same on all facets at step time 1, and not zero (collective).
+        """Return True if a traction is the same on all facets at all times, and not always zero (collective).
 
         A function that tells sides apart is not.
         """
-        comm, area = self.body.cloud.comm, self._surface.area[facets]
-        with agreed(comm):
-            t = forces(self._surface.x[facets], area, 1.0) / np.linalg.norm(area, axis=1)[:, None]
-        high = np.array([largest(comm, float(c.max(initial=-np.inf))) for c in t.T])
-        low = np.array([smallest(comm, float(c.min(initial=np.inf))) for c in t.T])
-        size = np.abs([low, high]).max()
-        return bool(0.0 < size < np.inf and np.all(high - low <= SAME * size))
+        comm, area, acts = self.body.cloud.comm, self._surface.area[facets], False
+        for at in SHOWN:
+            try:
+                with agreed(comm):
+                    t = forces(self._surface.x[facets], area, at) / np.linalg.norm(area, axis=1)[:, None]
+            except SolveError:  # reported with the resultant, or by the run
+                return False
+            high = np.array([largest(comm, float(c.max(initial=-np.inf))) for c in t.T])
+            low = np.array([smallest(comm, float(c.min(initial=np.inf))) for c in t.T])
+            size = np.abs([low, high]).max()
+            acts |= size > 0.0
+            if not np.all(high - low <= SAME * size):
+                return False
+        return bool(acts)
 
     def _add(self, applied: _OnFacets, name: str) -> None:
         """Store a load and record its resultant."""

@@ -1,5 +1,7 @@
 """A converged run whose numbers are wrong says so."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,33 @@ def test_a_jump_of_damage_within_a_step(solver, warns, tmp_path):
     )
     assert warned(case, tmp_path, "Work and energies differ") == warns
     assert pd.open(tmp_path)["broken"] == pytest.approx(0.05 * 6.0, rel=0.1)
+
+
+class Bed(pd.Term):
+    """Springs that tell no energy."""
+
+    def add_row_force(self, state, r):
+        r += 0.5 * state.u
+
+    def linearise(self, state):
+        return [pd.PointBlocks(np.broadcast_to(0.5 * np.eye(2), (len(state.own), 2, 2)))]
+
+
+@dataclass(frozen=True)
+class OnBed(pd.ExtraTerm):
+    def build(self, body):
+        return Bed()
+
+
+def test_a_term_without_an_energy_is_no_jump(tmp_path):
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.25),
+        material=pd.LinearElastic(1.0, 0.0),
+        damage=pd.PointDamage(pd.softening.Linear(), Gc=1e-2, onset=0.05),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=0.25), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=3.75), x=0.02, y=0.0),
+        ],
+        terms=[OnBed()],
+    )
+    assert not warned(case, tmp_path, "Work and energies differ")

@@ -109,6 +109,16 @@ def smallest(comm: Comm, value: float) -> float:
     return float(_reduced(comm, float(value), MPI.MIN))
 
 
+def bounds(comm: Comm, x: NDArray[Any]) -> NDArray[Any]:
+    """Return the least and the largest value over ranks of each column of ``x`` (2, n_columns) (collective).
+
+    Infinite, with the least above the largest, if no rank has a row.
+    """
+    ends = np.stack([-x, x]).max(axis=1, initial=-np.inf)
+    low, high = all_largest(comm, ends)
+    return np.stack([-low, high])
+
+
 def _reduced(comm: Comm, values: Any, operation: MPI.Op) -> NDArray[Any]:
     mine = np.ascontiguousarray(values).reshape(np.shape(values))
     result = np.empty_like(mine)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
-from pdpetsc.discrete.communicator import Comm, largest, smallest, total
+from pdpetsc.discrete.communicator import Comm, bounds, total
 
 # Relative weight of the other coordinates in the sort key: it separates the ties of a lattice plane along the next
 # axis.
@@ -54,10 +54,8 @@ def bisect(comm: Comm, x: Float) -> LocalIndex:
 
 def _keys(comm: Comm, x: Float, members: Mask) -> Float:
     """Compute the position in [0, 1] along the longest side of the bounding box; other sides separate ties."""
-    dim = x.shape[1]
     chosen = x[members]
-    low = np.array([smallest(comm, chosen[:, d].min(initial=np.inf)) for d in range(dim)])
-    high = np.array([largest(comm, chosen[:, d].max(initial=-np.inf)) for d in range(dim)])
+    low, high = bounds(comm, chosen)
     side = np.where(high > low, high - low, 1.0)
     scaled = (chosen - low) / side
     axes = np.argsort(-np.round((high - low) / max(float(np.max(high - low)), 1e-300), 6), kind="stable")

@@ -131,6 +131,10 @@ class _OfField(Quantity):
         refuse_component(self, self.field, self.component, dim)
         self.region.check(dim)
 
+    def _chosen(self, solution: Solution) -> Float:
+        """Return the component at the own particles of the region (n,)."""
+        return np.asarray(_component_of(solution, self.field, self.component)[solution.select(self.region)])
+
 
 @dataclass(frozen=True)
 class Mean(_OfField):
@@ -581,8 +585,7 @@ class Largest(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
-        return solution.largest(float(values.max(initial=-np.inf)))
+        return solution.largest(float(self._chosen(solution).max(initial=-np.inf)))
 
 
 @dataclass(frozen=True)
@@ -601,8 +604,7 @@ class Smallest(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
-        return -solution.largest(float((-values).max(initial=-np.inf)))
+        return solution.smallest(float(self._chosen(solution).min(initial=np.inf)))
 
 
 @dataclass(frozen=True)
@@ -660,7 +662,7 @@ class OnSurface(_OfField):
         if self.take == "largest":
             return solution.largest(float(found.max(initial=-np.inf)))
         if self.take == "smallest":
-            return -solution.largest(float((-found).max(initial=-np.inf)))
+            return solution.smallest(float(found.min(initial=np.inf)))
         size = np.linalg.norm(area, axis=1)
         moment, whole = solution.sum([size @ found, size.sum()])
         return float(moment / whole)

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import name_of, shown
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
@@ -178,6 +178,10 @@ class Solution:
     def largest(self, value: float) -> float:
         """Return the maximum over all ranks."""
         return largest(self.cloud.comm, value)
+
+    def smallest(self, value: float) -> float:
+        """Return the minimum over all ranks."""
+        return smallest(self.cloud.comm, value)
 
 
 # A field of the owned particles, (n_owned,), (n_owned, dim) or (n_owned, dim, dim); named as its function.

@@ -7,14 +7,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Mask
 from pdpetsc.case import Case
 from pdpetsc.declare.conditions import Condition, Displacement, condition_name
 from pdpetsc.declare.particles import Lattice, LatticeNodes
 from pdpetsc.declare.region import SIDES
 from pdpetsc.declare.supports import Clamp, PointSupport, RigidRegion
 from pdpetsc.declare.tools import Contact
-from pdpetsc.discrete.communicator import all_largest, largest, total
+from pdpetsc.discrete.communicator import bounds, largest, total
 from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import SolveError
@@ -90,7 +90,7 @@ def _resists_rotation(case: Case, problem: Problem, held: Mask) -> bool:
     cloud, dim = problem.body.cloud, problem.dim
     n, comm = cloud.n_owned, cloud.comm
     x, chosen, fixed = cloud.x[:n], held.any(axis=1), problem.supports.fixed[:n]
-    ends = _box(problem, chosen)
+    ends = bounds(comm, x[chosen])
     size = ends[1] - ends[0]
     mirrored = np.zeros(dim, dtype=bool)
     for plane in case.symmetry:
@@ -104,7 +104,7 @@ def _resists_rotation(case: Case, problem: Problem, held: Mask) -> bool:
     others = (total(comm, np.count_nonzero(fixed[~chosen], axis=0)) > 0) | mirrored
 
     def resists(piece: Mask) -> bool:
-        low, high = _box(problem, piece)
+        low, high = bounds(comm, x[piece])
         body = high - low
         whole = np.zeros(dim, dtype=bool)
         for side in (x - low, high - x):
@@ -123,14 +123,6 @@ def _resists_rotation(case: Case, problem: Problem, held: Mask) -> bool:
     # Its own body may be smaller.
     pieces = find_pieces(cloud, problem.body.families, problem.joined)
     return resists(np.isin(pieces, np.concatenate(comm.allgather(np.unique(pieces[chosen])))))
-
-
-def _box(problem: Problem, chosen: Mask) -> Float:
-    """Return the corners of the box of own particles of all ranks (2, dim) [length] (collective)."""
-    x = problem.body.cloud.x[: problem.body.cloud.n_owned][chosen]
-    ends = np.concatenate([(-x).max(axis=0, initial=-np.inf), x.max(axis=0, initial=-np.inf)])
-    low, high = np.split(all_largest(problem.body.cloud.comm, ends), 2)
-    return np.stack([-low, high])
 
 
 def layer_notes(case: Case, problem: Problem) -> list[str]:

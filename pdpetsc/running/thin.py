@@ -70,9 +70,9 @@ def thin_note(case: Case, problem: Problem) -> str:
 
 
 def _enough(case: Case, ratio: float) -> tuple[float, float]:
-    """Return the thickness in cells of an error of 5 %, and a better horizon in spacings; 0 if there is none.
+    """Return the thickness in cells at which the error is 5 %, and a better horizon in spacings or 0.
 
-    ``ratio`` is the horizon in spacings (not collective).
+    ``ratio`` is the horizon of the case in spacings (not collective).
     """
     nodes = isinstance(case.particles, LatticeNodes)
     if case.of_bonds or case.weights is not None or not isinstance(case.gradients, SubHorizons):

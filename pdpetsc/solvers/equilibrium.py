@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.discrete.communicator import bounds, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
 from pdpetsc.petsc.library import negative_pivots, refactors
@@ -102,12 +102,10 @@ class Equilibrium:
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
         x, comm = cloud.x[: cloud.n_owned], cloud.comm
-        sides = [
-            largest(comm, float(a.max(initial=-np.inf))) - smallest(comm, float(a.min(initial=np.inf))) for a in x.T
-        ]
+        low, high = bounds(comm, x)
         least = smallest(comm, float(spacing.min(initial=np.inf)))
         self.smallest_spacing = least
-        self.size = float(np.linalg.norm(sides)) + least
+        self.size = float(np.linalg.norm(high - low)) + least
         # Size of the body over the smallest distance of particles [-].
         self._slender = self.size / least
         self.scales = scales_of(problem.body, problem.material_term)

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.declare.region import Named, Region
-from pdpetsc.discrete.communicator import agreed, largest, smallest, total
+from pdpetsc.discrete.communicator import agreed, bounds, total
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
@@ -70,13 +70,14 @@ class SurfaceLoads(PrescribedLoads):
             return found
 
         facets = self._facets(condition.region, normal, name)
+        sides = self._sides(facets)
         tagged = isinstance(condition.region, Named) and condition.region.name in self._surface.tags
-        if normal is None and not tagged and len(sides := self._sides(facets)) > 1 and self._uniform(facets, forces):
+        if normal is None and not tagged and len(sides) > 1 and self._uniform(facets, forces):
             raise CaseError(
                 f"The region of {name} holds facets on {len(sides)} sides of the body, and a traction acts on "
                 f"each: write one of them, {', '.join(f'{side!r}' for side in sides)}, as its region."
             )
-        self._add(_OnFacets(facets, forces), name)
+        self._add(_OnFacets(facets, forces), sides, name)
 
     def add_pressure(self, condition: SurfacePressure, name: str) -> None:
         """Add a pressure on the facets of its region."""
@@ -84,7 +85,8 @@ class SurfaceLoads(PrescribedLoads):
         def forces(x: Float, area: Float, t: float) -> Float:
             return np.asarray(-condition.values(x, t)[:, None] * area)
 
-        self._add(_OnFacets(self._facets(condition.region, None, name), forces), name)
+        facets = self._facets(condition.region, None, name)
+        self._add(_OnFacets(facets, forces), self._sides(facets), name)
 
     def _facets(self, region: Region, normal: Float | None, name: str) -> GlobalIndex:
         """Return the facets in a region on this rank that face the direction of a normal, if there is one."""
@@ -126,18 +128,16 @@ class SurfaceLoads(PrescribedLoads):
                     t = forces(self._surface.x[facets], area, at) / np.linalg.norm(area, axis=1)[:, None]
             except SolveError:  # reported with the resultant, or by the run
                 return False
-            high = np.array([largest(comm, float(c.max(initial=-np.inf))) for c in t.T])
-            low = np.array([smallest(comm, float(c.min(initial=np.inf))) for c in t.T])
+            low, high = bounds(comm, t)
             size = np.abs([low, high]).max()
             acts |= size > 0.0
             if not np.all(high - low <= SAME * size):
                 return False
         return bool(acts)
 
-    def _add(self, applied: _OnFacets, name: str) -> None:
-        """Store a load and record its resultant."""
+    def _add(self, applied: _OnFacets, sides: list[str], name: str) -> None:
+        """Store a load on sides of a box and record its resultant."""
         self._applied.append(applied)
-        sides = self._sides(applied.where)
         self._note(f"{name} on {', '.join(sides)}" if len(sides) > 1 else name, lambda t: self._sum([applied], t))
 
     def _evaluated(self, t: float) -> Float:

@@ -66,7 +66,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     GMRES is preconditioned from the right, so that its tolerance is that of the forces. From the left it would accept
     steps that leave the stiff forces of contact unbalanced.
 
-    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
+    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration. While damage is
+    held its factor is kept (``KeptFactor``) for GMRES, whose step counts after 30 iterations like that of a factor.
 
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Behind a
     limit of the load the tangent is indefinite. MINRES solves it with the positive definite preconditioner of two
@@ -98,7 +99,11 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         if problem.symmetric and problem.body.cloud.comm.size > 1:
             # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
-        return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
+        if problem.damage is not None:
+            defaults["mat_mumps_icntl_24"] = 1
+            if not problem.coupled:
+                defaults |= {"ksp_type": "fgmres", "ksp_rtol": 1e-12, "ksp_max_it": 30, "ksp_converged_maxits": None}
+        return defaults
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     defaults["ksp_divtol"] = GROWN
     if (choice.ksp or defaults["ksp_type"]) == "gmres":

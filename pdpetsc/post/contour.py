@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.inhomogeneity import of_place, plane_tensors, singular, slope_of_grading
 from pdpetsc.post.integrands import Continuum, integrands_of
-from pdpetsc.post.solution import Solution
+from pdpetsc.post.solution import Solution, local_horizon
 
 # Tolerances of the sums over cells: of the integrals of the weight and of its slope, and of the integral of its
 # gradient, which is zero.
@@ -201,8 +201,8 @@ class Domain:
         around a circle is fitted by ``a + b r + c r^2``, the leading powers of products of two square-root fields of
         one symmetry. Collective.
         """
-        reach = solution.cloud.local_horizon[: len(solution.x)][self.near(solution.x)]
-        start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
+        reach = local_horizon(solution)[self.near(solution.x)]
+        start = min(CORE * solution.largest(reach, 0.0), CORE_MOST * self.outer)
         follows = singular(solution, [frame.tip for frame in self.frames], start)
         further = FURTHER_BY_HEAT if follows else FURTHER
         sums, normal, right = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
@@ -289,9 +289,8 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     all ranks (collective).
     """
     inner, outer = domain.inner, domain.outer
-    cloud = solution.cloud
     inside = domain.near(solution.x)
-    reach = solution.largest(float(cloud.local_horizon[: cloud.n_owned][inside].max(initial=0.0)))
+    reach = solution.largest(local_horizon(solution)[inside], 0.0)
     if inner < reach * (1.0 - HORIZON_TOLERANCE):
         return (
             f"begins {inner:g} from the tip, within the horizon of {reach:g}, where fields are not those of a "
@@ -318,7 +317,7 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     """Return why the broken and cut bonds in a domain are not one crack (collective)."""
     stray, crossing, cut, gone, places = 0, 0, 0, 0, list[tuple[float, ...]]()
     for frame in domain.frames:
-        reach = solution.cloud.local_horizon[: solution.cloud.n_owned]
+        reach = local_horizon(solution)
         zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
         pairs, left, _ = pairs_of(solution, zone)
         a, b = frame.at(solution.cloud.x[pairs[:, 0]]), frame.at(solution.cloud.x[pairs[:, 1]])
@@ -361,12 +360,12 @@ def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
     the jump of the displacement far from the tip, not its gradient at the tip. Equal on all ranks. Collective.
     """
     force, found = _applied(solution), np.zeros(5)
-    waves, cloud = np.zeros((2, 2, 2)), solution.cloud
+    waves = np.zeros((2, 2, 2))
     for frame in domain.frames:
         at, f = frame.at(solution.x), force @ frame.turn.T
         inside = np.linalg.norm(at, axis=1) < domain.outer
         # A facet distributes its load over the family of the particle behind it.
-        band = 1.5 * cloud.local_horizon[: len(at)]
+        band = 1.5 * local_horizon(solution)
         near = inside & (np.abs(at[:, 1]) <= band)
         size = np.linalg.norm(f, axis=1)
         found += [
@@ -411,7 +410,7 @@ def _applied(solution: Solution) -> Float:
 def materials_in(solution: Solution, inside: Mask) -> list[int]:
     """Return the numbers of the materials of owned particles (n_owned,) selected; equal on all ranks (collective)."""
     numbers, _ = integrands_of(solution).materials()
-    count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(float(numbers.max())))))
+    count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(numbers))))
     return [int(number) for number in np.flatnonzero(count)]
 
 

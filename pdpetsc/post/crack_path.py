@@ -126,9 +126,7 @@ def crack_faces(solution: Solution, region: Region = EVERYWHERE, precracks: bool
     cloud = solution.cloud
     if cloud.dim < 2:
         raise CaseError("Cracks are lines in a plane body and surfaces in space; a line has none.")
-    chosen = np.zeros(cloud.n_local)
-    chosen[: cloud.n_owned] = solution.select(region)
-    cloud.halo.forward(chosen)
+    chosen = solution.with_ghosts(solution.select(region))
     with agreed(cloud.comm):
         rows, corners = _own_faces(solution, chosen > 0.0, precracks)
     parts = cloud.comm.allgather((rows, corners))

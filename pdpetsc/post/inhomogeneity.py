@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.integrands import integrands_of, range_on_ranks
-from pdpetsc.post.solution import Solution
+from pdpetsc.post.solution import Solution, local_horizon
 
 # Numbers that differ by less than this share are equal: round-off of sums.
 SAME = 1e-12
@@ -82,22 +82,22 @@ def _of_place(solution: Solution) -> OfPlace:
     expansion = solution.state.expansion
     integrands = integrands_of(solution)
     _, graded = integrands.materials()
-    factor = _with_ghosts(solution, graded)
+    factor = solution.with_ghosts(graded)
     if expansion is None:
         return OfPlace(solution, None, factor, None, ((MODULI, factor),))
     of_temperature = expansion.factor
-    whole = factor if of_temperature is None else _with_ghosts(solution, graded * of_temperature)
+    whole = factor if of_temperature is None else solution.with_ghosts(graded * of_temperature)
     own = integrands.strain_of_body(expansion)
     given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain).T))
     by_law = any(one is not None and one.law is not None for one in expansion.of.thermals)
     temperature = expansion.temperature if by_law else None
-    kept = None if temperature is None else _with_ghosts(solution, temperature)
+    kept = None if temperature is None else solution.with_ghosts(temperature)
     return OfPlace(solution, _shown(solution, own), whole, kept, given)
 
 
 def _shown(solution: Solution, own: Float) -> Float:
     """Return strains of the owned particles (n_owned, 3, 3) as strains of the local ones (n_local, 4) (collective)."""
-    cloud, strain = solution.cloud, _with_ghosts(solution, own)
+    cloud, strain = solution.cloud, solution.with_ghosts(own)
     # Behind a mirror plane a shear has the opposite sign.
     if len(cloud.sign):
         strain[cloud.n_owned :, 0, 1] *= cloud.sign.prod(axis=1)
@@ -127,7 +127,7 @@ def slope_of_grading(solution: Solution) -> tuple[Float, Float]:
 def _slope_of_grading(solution: Solution) -> tuple[Float, Float]:
     cloud, graded = solution.cloud, of_place(solution).graded
     n, integrands = len(solution.x), integrands_of(solution)
-    local = _with_ghosts(solution, integrands.slopes(graded[:, None])[:, 0] / graded[:n, None])
+    local = solution.with_ghosts(integrands.slopes(graded[:, None])[:, 0] / graded[:n, None])
     # Behind a mirror plane the slope along its normal has the opposite sign.
     if len(cloud.sign):
         local[n:] *= cloud.sign
@@ -162,7 +162,7 @@ def singular(solution: Solution, tips: Sequence[Float], start: float) -> bool:
     temperature = solution.state.temperature
     if temperature is None:
         return False
-    square = (integrands_of(solution).slopes(_with_ghosts(solution, temperature)[:, None]) ** 2).sum(axis=(1, 2))
+    square = (integrands_of(solution).slopes(solution.with_ghosts(temperature)[:, None]) ** 2).sum(axis=(1, 2))
     distance, sums = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0), []
     for zone in (distance < start, (distance >= start) & (distance < 2.0 * start)):
         sums += [solution.volume[zone] @ square[zone], solution.volume[zone].sum()]
@@ -184,8 +184,8 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
     outer : float
         Radius around a tip that contains the particles [length].
     """
-    place, reach = of_place(solution), solution.cloud.local_horizon[: len(inside)]
-    start = min(SINGULAR * solution.largest(float(reach[inside].max(initial=0.0))), SINGULAR_MOST * outer)
+    place, reach = of_place(solution), local_horizon(solution)[inside]
+    start = min(SINGULAR * solution.largest(reach, 0.0), SINGULAR_MOST * outer)
     distance = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0)
     what = _jumping(solution, inside, inside, place.given)
     if what or solution.problem.body.expansion is None:
@@ -199,15 +199,14 @@ def _jumping(solution: Solution, inside: Mask, zone: Mask, columns: Sequence[tup
     """Return the names of numbers of the local particles that jump in a zone of those inside (collective)."""
     pairs, xi, length, near, least = _bonds_in(solution, zone)
     far = length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
-    some_far = solution.largest(float(np.count_nonzero(far))) > 0.0
+    some_far = solution.largest(np.count_nonzero(far)) > 0.0
     for name, column in columns:
         low, high = range_on_ranks(solution, column[: len(inside)][inside])
         if not _differ(low, high):
             continue
         slope = integrands_of(solution).slopes(column[:, None])[pairs[:, 0], 0]
         rest = np.abs(column[pairs[:, 1]] - column[pairs[:, 0]] - np.einsum("bi,bi->b", slope, xi))
-        close = solution.largest(float(rest[near].max(initial=0.0)))
-        wide = solution.largest(float(rest[far].max(initial=0.0)))
+        close, wide = solution.largest(rest[near], 0.0), solution.largest(rest[far], 0.0)
         allowed = max(SMOOTH * wide, NOTHING * (high - low)) if some_far else ROUGH * (high - low)
         if close > allowed:
             return name
@@ -224,12 +223,11 @@ def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
     for zone in (core, ring):
         pairs, _, length, near, _ = _bonds_in(solution, zone)
         slopes.append((pairs[near], length[near]))
-        shortest = min(shortest, -solution.largest(-float(length.min(initial=np.inf))))
+        shortest = min(shortest, solution.smallest(length))
     for name, column in of_place(solution).columns:
         low, high = range_on_ranks(solution, column[: len(core)][core | ring])
         within, around = (
-            solution.largest(float((np.abs(column[p[:, 1]] - column[p[:, 0]]) / length).max(initial=0.0)))
-            for p, length in slopes
+            solution.largest(np.abs(column[p[:, 1]] - column[p[:, 0]]) / length, 0.0) for p, length in slopes
         )
         noise = max(SAME * max(abs(high), abs(low)), NOTHING * (high - low))
         if within > STEEPER * np.sqrt(start / shortest) * around + noise / shortest:
@@ -252,15 +250,6 @@ def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float
 def _differ(low: float, high: float) -> bool:
     """Return True if the smallest and the largest number differ by more than round-off."""
     return high - low > SAME * max(abs(high), abs(low))
-
-
-def _with_ghosts(solution: Solution, values: Float) -> Float:
-    """Return numbers of the owned particles (n_owned, ...) with those of their ghosts (n_local, ...) (collective)."""
-    cloud = solution.cloud
-    local = np.empty((cloud.n_local, *values.shape[1:]))
-    local[: cloud.n_owned] = values
-    cloud.halo.forward(local)
-    return local
 
 
 def turned_by_place(solution: Solution, inside: Mask) -> bool:

@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import bounds
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import IsotropicMaterial
@@ -181,7 +182,7 @@ class OfPoints(Integrands):
         thermal = None if expansion is None else expansion.thermals[number]
         if thermal is None or thermal.law is None or temperature is None:
             return law
-        return thermal.material_at(self.solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
+        return thermal.material_at(self.solution.largest(temperature[inside]), law)
 
     def directions(self) -> Float:
         """Return a number that combines position-dependent constants of laws without history, as fibre directions."""
@@ -318,7 +319,5 @@ def integrands_of(solution: Solution) -> Integrands:
 
 def range_on_ranks(solution: Solution, values: Float) -> tuple[float, float]:
     """Return the smallest and the largest of numbers on all ranks (collective)."""
-    return (
-        -solution.largest(float((-values).max(initial=-np.inf))),
-        solution.largest(float(values.max(initial=-np.inf))),
-    )
+    low, high = bounds(solution.cloud.comm, values)
+    return float(low), float(high)

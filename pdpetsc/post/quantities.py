@@ -14,9 +14,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.region import All, Nearest, Region, accept_region_name
 from pdpetsc.declare.solvers import Opening
 from pdpetsc.declared import Declared, name_of, numbers_from
-from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
-from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.solution import (
@@ -509,13 +507,13 @@ class CrackTip(Quantity):
         self.check(solution.x.shape[1])
         along, behind = self._along(solution)
         cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
-        return max(solution.largest(float(along[cracked].max(initial=-np.inf))), behind)
+        return max(solution.largest(along[cracked]), behind)
 
     def _along(self, solution: Solution) -> tuple[Float, float]:
         """Return the coordinates of the own particles (n_owned,) and the smallest one of the body [length]."""
         axis = np.asarray(self.direction, dtype=float)
         along = solution.x @ (axis / np.linalg.norm(axis))
-        return along, -solution.largest(float((-along).max(initial=-np.inf)))
+        return along, solution.smallest(along)
 
 
 @dataclass(frozen=True)
@@ -585,7 +583,7 @@ class Largest(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        return solution.largest(float(self._chosen(solution).max(initial=-np.inf)))
+        return solution.largest(self._chosen(solution))
 
 
 @dataclass(frozen=True)
@@ -604,7 +602,7 @@ class Smallest(_OfField):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        return solution.smallest(float(self._chosen(solution).min(initial=np.inf)))
+        return solution.smallest(self._chosen(solution))
 
 
 @dataclass(frozen=True)
@@ -651,7 +649,10 @@ class OnSurface(_OfField):
             # A component along the normal of a mirror plane changes its sign in the image.
             sign = cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
         if any(self.field is known for known in _NOT_OF_GRADIENTS):
-            found = _interpolated(cloud, surface, values, sign)
+            local = solution.with_ghosts(values)
+            if sign is not None:
+                local[cloud.n_owned :] *= sign
+            found = surface.interpolated(local)
         else:
             found = surface.extrapolated(cloud, body.families, values, sign)
         chosen = surface.select(cloud, self.region, "an OnSurface")
@@ -660,22 +661,12 @@ class OnSurface(_OfField):
     def evaluate(self, solution: Solution) -> float:
         _, area, found = self.on_facets(solution)
         if self.take == "largest":
-            return solution.largest(float(found.max(initial=-np.inf)))
+            return solution.largest(found)
         if self.take == "smallest":
-            return solution.smallest(float(found.min(initial=np.inf)))
+            return solution.smallest(found)
         size = np.linalg.norm(area, axis=1)
         moment, whole = solution.sum([size @ found, size.sum()])
         return float(moment / whole)
-
-
-def _interpolated(cloud: Cloud, surface: Surface, values: Float, sign: Float | None) -> Float:
-    """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` of the owned particles (n_owned,) (collective)."""
-    local = np.zeros(cloud.n_local)
-    local[: cloud.n_owned] = values
-    cloud.halo.forward(local)
-    if sign is not None:
-        local[cloud.n_owned :] *= sign
-    return surface.interpolated(local)
 
 
 @dataclass(frozen=True)
@@ -751,7 +742,7 @@ class LargestError(_Against):
         mask = solution.select(self.region)
         found = _values(solution, self.field)[mask]
         difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
-        return solution.largest(float(difference.max(initial=0.0)))
+        return solution.largest(difference, 0.0)
 
 
 def _reference(

@@ -44,7 +44,7 @@ class Solution:
 
     Notes
     -----
-    Computed properties, ``sum`` and ``select`` are collective.
+    Computed properties, reductions over ranks, ``with_ghosts`` and ``select`` are collective.
     """
 
     def __init__(
@@ -175,13 +175,21 @@ class Solution:
         """Return the sum over all ranks of numbers summed on each."""
         return total(self.cloud.comm, values)
 
-    def largest(self, value: float) -> float:
-        """Return the maximum over all ranks."""
-        return largest(self.cloud.comm, value)
+    def largest(self, values: Any, initial: float = -np.inf) -> float:
+        """Return the maximum of numbers of all ranks, ``initial`` if there are none."""
+        return largest(self.cloud.comm, np.max(np.asarray(values, dtype=float), initial=initial))
 
-    def smallest(self, value: float) -> float:
-        """Return the minimum over all ranks."""
-        return smallest(self.cloud.comm, value)
+    def smallest(self, values: Any, initial: float = np.inf) -> float:
+        """Return the minimum of numbers of all ranks, ``initial`` if there are none."""
+        return smallest(self.cloud.comm, np.min(np.asarray(values, dtype=float), initial=initial))
+
+    def with_ghosts(self, values: Float) -> Float:
+        """Return numbers of the owned particles (n_owned, ...) with those of their ghosts (n_local, ...)."""
+        cloud = self.cloud
+        local = np.empty((cloud.n_local, *values.shape[1:]))
+        local[: cloud.n_owned] = values
+        cloud.halo.forward(local)
+        return local
 
 
 # A field of the owned particles, (n_owned,), (n_owned, dim) or (n_owned, dim, dim); named as its function.

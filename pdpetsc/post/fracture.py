@@ -70,6 +70,12 @@ class Number:
     guessed: float = 0.0
     why: str = ""
 
+    @classmethod
+    def of(cls, value: float, size: float, parts: Sequence[Integral], factor: float) -> Number:
+        """Return a number that contains integrals times a factor, and the reason if one is too inaccurate."""
+        guessed = abs(factor) * sum(abs(part.value - part.plain) for part in parts)
+        return cls(value, size, guessed, next(filter(None, (part.trouble(value, factor) for part in parts)), ""))
+
 
 @dataclass(frozen=True)
 class AtTip(Quantity):
@@ -168,9 +174,8 @@ class AtTip(Quantity):
         """Return the domain about the current tip (collective)."""
         tip = np.asarray(self.tip, dtype=float)
         if self.follows is not None:
-            along = np.asarray(self.follows.direction, dtype=float)
-            along = along / np.linalg.norm(along)
-            tip = tip + max(self.follows.evaluate(solution) - tip @ along, 0.0) * along
+            axis = self.follows.axis
+            tip = tip + max(float(self.follows.evaluate(solution) - tip @ axis), 0.0) * axis
         return Domain.of(solution, tip, self.direction, self.inner, self.outer, tilt)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
@@ -277,21 +282,14 @@ class _Release(AtTip):
                     f"The explicit derivative of the energy density has the shape {solution.x.shape} of positions, "
                     f"not {explicit.shape}."
                 )
-            return self._less(rest, size, [domain.integral(solution, along(domain, explicit))])
-        changing = uneven(solution, domain.near(solution.x))
-        if not changing:
-            return Number(rest, size)
-        parts = [domain.of_energy(solution)]
-        if solution.problem.body.expansion is not None:
-            parts.append(domain.integral(solution, along(domain, derivative_besides_grading(solution))))
-        return self._less(rest, size, parts)
-
-    @staticmethod
-    def _less(rest: float, size: float, parts: Sequence[Integral]) -> Number:
-        """Return a number minus integrals, and the reason if one of them is too inaccurate."""
-        whole = rest - sum(part.value for part in parts)
-        guessed = sum(abs(part.value - part.plain) for part in parts)
-        return Number(whole, size, guessed, next(filter(None, (part.trouble(whole, -1.0) for part in parts)), ""))
+            parts = [domain.integral(solution, along(domain, explicit))]
+        elif uneven(solution, domain.near(solution.x)):
+            parts = [domain.of_energy(solution)]
+            if solution.problem.body.expansion is not None:
+                parts.append(domain.integral(solution, along(domain, derivative_besides_grading(solution))))
+        else:
+            parts = []
+        return Number.of(rest - sum(part.value for part in parts), size, parts, -1.0)
 
 
 def along(domain: Domain, slopes: Float) -> list[Float]:
@@ -477,9 +475,7 @@ class StressIntensity(AtTip):
         if MODULI in uneven(solution, domain.near(solution.x)):
             parts.append(domain.integral(solution, stiffer))
         K = half * (rest + sum(part.value for part in parts))
-        guessed = half * sum(abs(part.value - part.plain) for part in parts)
-        why = next(filter(None, (part.trouble(K, half) for part in parts)), "")
-        return Number(float(K), float(half * size), float(guessed), why)
+        return Number.of(float(K), float(half * size), parts, half)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
         """Return the reason, including fields that are not those of linear fracture mechanics."""

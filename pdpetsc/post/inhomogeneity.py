@@ -40,8 +40,6 @@ class OfPlace:
 
     Attributes
     ----------
-    solution : Solution
-        A state.
     strain : (n_local, 4) float64 or None
         Eigenstrain, xx, yy, xy and zz [-]; for bodies of bonds its effective value in the plane.
     factor : (n_local,) float64
@@ -52,7 +50,6 @@ class OfPlace:
         Those that do not depend on temperature, with their names: eigenstrains, and graded moduli.
     """
 
-    solution: Solution
     strain: Float | None
     factor: Float
     temperature: Float | None
@@ -84,7 +81,7 @@ def _of_place(solution: Solution) -> OfPlace:
     _, graded = integrands.materials()
     factor = solution.with_ghosts(graded)
     if expansion is None:
-        return OfPlace(solution, None, factor, None, ((MODULI, factor),))
+        return OfPlace(None, factor, None, ((MODULI, factor),))
     of_temperature = expansion.factor
     whole = factor if of_temperature is None else solution.with_ghosts(graded * of_temperature)
     own = integrands.strain_of_body(expansion)
@@ -92,7 +89,7 @@ def _of_place(solution: Solution) -> OfPlace:
     by_law = any(one is not None and one.law is not None for one in expansion.of.thermals)
     temperature = expansion.temperature if by_law else None
     kept = None if temperature is None else solution.with_ghosts(temperature)
-    return OfPlace(solution, _shown(solution, own), whole, kept, given)
+    return OfPlace(_shown(solution, own), whole, kept, given)
 
 
 def _shown(solution: Solution, own: Float) -> Float:

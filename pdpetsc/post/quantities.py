@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -37,25 +37,53 @@ from pdpetsc.post.solution import (
 from pdpetsc.problem.inertia import Inertia
 
 EVERYWHERE = All()
-# Letters of a component of each field of pdpetsc; components of user fields are checked at evaluation.
-_LETTERS: dict[Field, int] = {
-    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, local_horizon, temperature), 0),
-    **dict.fromkeys((damage_dissipation, triaxiality, von_mises), 0),
-    **dict.fromkeys((displacement, heat_flux, principal_strains, principal_stresses, reaction), 1),
-    **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
+
+
+class _Known(NamedTuple):
+    """A field of pdpetsc.
+
+    Attributes
+    ----------
+    letters : int
+        Number of letters of a component.
+    dimension : str
+        Empty for pure numbers, and for units without a label.
+    principal : bool
+        True for three values in every dimension of the body, not along axes.
+    of_gradients : bool
+        False if the field is as accurate next to a surface as inside.
+    """
+
+    letters: int
+    dimension: str = ""
+    principal: bool = False
+    of_gradients: bool = True
+
+
+_KNOWN: dict[Field, _Known] = {
+    damage_dissipation: _Known(0, "energy per volume"),
+    deformation_gradient: _Known(2),
+    displacement: _Known(1, "length", of_gradients=False),
+    energy_density: _Known(0, "energy per volume"),
+    first_piola_stress: _Known(2, "stress"),
+    heat_flux: _Known(1),
+    local_damage: _Known(0, of_gradients=False),
+    local_horizon: _Known(0, "length"),
+    lost_bonds: _Known(0, of_gradients=False),
+    plastic_strain: _Known(0),
+    principal_strains: _Known(1, principal=True),
+    principal_stresses: _Known(1, "stress", principal=True),
+    reaction: _Known(1, "force", of_gradients=False),
+    stress: _Known(2, "stress"),
+    temperature: _Known(0, "temperature", of_gradients=False),
+    triaxiality: _Known(0),
+    von_mises: _Known(0, "stress"),
 }
-# Dimensions of the fields of pdpetsc; others are pure numbers, or have units without a label.
-_DIMENSIONS: dict[Field, str] = {
-    **dict.fromkeys((displacement, local_horizon), "length"),
-    **dict.fromkeys((stress, first_piola_stress, von_mises, principal_stresses), "stress"),
-    **dict.fromkeys((energy_density, damage_dissipation), "energy per volume"),
-    reaction: "force",
-    temperature: "temperature",
-}
-# Fields of three values in every dimension of the body, not along axes.
-_PRINCIPAL: tuple[Field, ...] = (principal_strains, principal_stresses)
-# Fields that are as accurate next to a surface as inside.
-_NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds, temperature)
+
+
+def _known(field: Field) -> _Known | None:
+    """Return the properties of a field of pdpetsc; None for a field of the user, which may not be hashable."""
+    return next((known for function, known in _KNOWN.items() if function is field), None)
 
 
 class Quantity(Declared, ABC):
@@ -509,10 +537,15 @@ class CrackTip(Quantity):
         cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
         return max(solution.largest(along[cracked]), behind)
 
+    @property
+    def axis(self) -> Float:
+        """Return the unit vector of the direction (dim,) [-]."""
+        axis = np.asarray(self.direction, dtype=float)
+        return np.asarray(axis / np.linalg.norm(axis))
+
     def _along(self, solution: Solution) -> tuple[Float, float]:
         """Return the coordinates of the own particles (n_owned,) and the smallest one of the body [length]."""
-        axis = np.asarray(self.direction, dtype=float)
-        along = solution.x @ (axis / np.linalg.norm(axis))
+        along = solution.x @ self.axis
         return along, solution.smallest(along)
 
 
@@ -644,17 +677,17 @@ class OnSurface(_OfField):
         cloud, surface = body.cloud, body.surface
         assert surface is not None
         values = _component_of(solution, self.field, self.component)
-        sign = None
-        if len(cloud.sign) and not any(self.field is known for known in _PRINCIPAL):
+        sign, known = None, _known(self.field)
+        if len(cloud.sign) and not (known is not None and known.principal):
             # A component along the normal of a mirror plane changes its sign in the image.
             sign = cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
-        if any(self.field is known for known in _NOT_OF_GRADIENTS):
+        if known is None or known.of_gradients:
+            found = surface.extrapolated(cloud, body.families, values, sign)
+        else:
             local = solution.with_ghosts(values)
             if sign is not None:
                 local[cloud.n_owned :] *= sign
             found = surface.interpolated(local)
-        else:
-            found = surface.extrapolated(cloud, body.families, values, sign)
         chosen = surface.select(cloud, self.region, "an OnSurface")
         return surface.x[chosen], surface.area[chosen], found[chosen]
 
@@ -778,21 +811,20 @@ def _component_of(solution: Solution, field: Field, name: str) -> Float:
 
 def dimension_of(field: Field) -> str:
     """Return the dimension of a field for ``Units.of``; empty for pure numbers and unknown dimensions."""
-    wanted = getattr(field, "__wrapped__", field)
-    # A field may be an object that is not hashable.
-    return next((found for known, found in _DIMENSIONS.items() if known is wanted), "")
+    known = _known(getattr(field, "__wrapped__", field))
+    return "" if known is None else known.dimension
 
 
 def refuse_component(declared: object, field: Field, component: str, dim: int | None = None) -> None:
     """Raise CaseError if the field of a declared object lacks the component in ``dim`` dimensions, None if unknown."""
-    letters = "xyz" if any(field is known for known in _PRINCIPAL) else "xyz"[:dim]
-    # A field may be an object that is not hashable.
-    ours = [number for known, number in _LETTERS.items() if known is field]
-    wanted = ours[0] if ours else min(len(component), 2)
+    known = _known(field)
+    # Components of fields of the user are checked at evaluation.
+    wanted = min(len(component), 2) if known is None else known.letters
+    letters = "xyz" if known is not None and known.principal else "xyz"[:dim]
     if len(component) == wanted and set(component) <= set(letters):
         return
     number = ["no letter", f"one of {', '.join(letters)}", f"two of {', '.join(letters)}"][wanted]
-    if not ours:
+    if known is None:
         number = f"no, one or two of {', '.join(letters)}"
     kind = type(declared).__name__
     who = f"{'An' if kind[0] in 'AEIOU' else 'A'} {kind}"

@@ -154,9 +154,9 @@ class MaterialAtPoints:
         parts = np.split(order, np.cumsum(np.bincount(of, minlength=len(levels)))[:-1])
         laws = [self._by_temperature.material_at(float(level), self.material) for level in levels]
         for level, law in zip(levels, laws, strict=True):
-            kept = law.history_at(self.inside, np.zeros((1, self.inside))).shape[1]
+            width = law.history_at(self.inside, np.zeros((1, self.inside))).shape[1]
             alike = law.symmetric == self.material.symmetric and law.may_fail == self.material.may_fail
-            if kept != self.history.shape[1] or not alike:
+            if width != self.history.shape[1] or not alike:
                 raise CaseError(
                     f"The law of a Thermal material is of another kind at temperature {level:g} than its material: "
                     f"what it remembers and its symmetry must be the same everywhere."
@@ -337,16 +337,16 @@ class MaterialLaw:
     def defined(self, F: Float, lost: Mask | None = None) -> bool:
         """Return True if it has a stress at F (all points, dim, dim), ignoring lost points (all points,)."""
         part, select = self.free.elastic(F)
-        kept = np.ones(len(self.points), dtype=bool) if lost is None else ~lost[self.points]
+        intact = np.ones(len(self.points), dtype=bool) if lost is None else ~lost[self.points]
         for law in self._laws:
-            here = kept[law.rows]
+            here = intact[law.rows]
             if not law.material.defined(part, select[law.rows][here], self.of.history[law.rows][here]):
                 return False
         if not self.material.may_fail:
             return True
         P = np.empty_like(F)
         self.stress(F, P)
-        return bool(np.isfinite(P[self.points[kept]]).all())
+        return bool(np.isfinite(P[self.points[intact]]).all())
 
     def energy_by_strain(self, F: Float) -> Float:
         """Return the derivative of the energy density by the eigenstrain at constant F (n, 3, 3) [stress].
@@ -362,24 +362,18 @@ class MaterialLaw:
         By central differences with a step [temperature] at temperatures (n,), for F (n, dim, dim) of its points; zeros
         for a law that does not depend on temperature.
         """
-        if not self._varies(F, temperature):
+        if not self.of.varies or not len(F):
             return np.zeros(len(F))
         part = self.free.elastic_part(F)
-        up, down = (self._energy_density(part, laws) for laws in self._laws_around(temperature, step))
+        up, down = (
+            self._energy_density(part, [law.of_step(self._dt) for law in self.of.laws_at(temperature + by)])
+            for by in (step, -step)
+        )
         return np.asarray((up - down) / (2.0 * step))
 
     @property
     def _rows(self) -> GlobalIndex:
         return np.arange(len(self.points))
-
-    def _varies(self, F: Float, temperature: Float | None) -> bool:
-        """Return True if the law depends on temperature by more than a factor, at any point."""
-        return self.of.varies and temperature is not None and len(F) > 0
-
-    def _laws_around(self, temperature: Float | None, step: float) -> list[list[Law]]:
-        """Return the laws at temperatures (n,) plus and minus a step."""
-        assert temperature is not None
-        return [[law.of_step(self._dt) for law in self.of.laws_at(temperature + by)] for by in (step, -step)]
 
     def _evaluate(
         self, quantity: str, F: Float, select: GlobalIndex, result: Float, laws: Iterable[Law] | None = None,

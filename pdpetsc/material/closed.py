@@ -48,7 +48,7 @@ class ClosedPart(ElasticMaterial):
 
             return loop
 
-        return PointKernels(write(self._stress), write(self._tangent), write(lambda F, kept: kept.psi))
+        return PointKernels(write(self._stress), write(self._tangent), write(lambda F, principal: principal.psi))
 
     def principal(self, F: Float, dim: int) -> Principal:
         """Return the closed part for the principal strains of F (n, dim, dim)."""
@@ -80,29 +80,30 @@ class ClosedPart(ElasticMaterial):
         """Return principal strains (n, dim) and their directions, columns of (n, dim, dim)."""
 
     @abstractmethod
-    def _stress(self, F: Float, kept: Principal) -> Float:
+    def _stress(self, F: Float, principal: Principal) -> Float:
         """Return P (n, dim, dim)."""
 
     @abstractmethod
-    def _tangent(self, F: Float, kept: Principal) -> Float:
+    def _tangent(self, F: Float, principal: Principal) -> Float:
         """Return dP/dF (n, dim, dim, dim, dim)."""
 
 
 class _OfStrain(ClosedPart):
     """A law of a symmetric strain; derived classes transform stress and moduli to F."""
 
-    def _of_strain(self, F: Float, kept: Principal) -> Float:
+    def _of_strain(self, F: Float, principal: Principal) -> Float:
         """Return ``S = dpsi/dE`` (n, dim, dim)."""
         S = np.empty_like(F)
-        strain_loops(F.shape[-1]).stress(kept.stress, self._axes(F)[1], S)
+        strain_loops(F.shape[-1]).stress(principal.stress, self._axes(F)[1], S)
         return S
 
-    def _by_strain(self, F: Float, kept: Principal) -> Float:
+    def _by_strain(self, F: Float, principal: Principal) -> Float:
         """Return ``dS/dE`` (n, dim, dim, dim, dim)."""
         strain, N = self._axes(F)
         dim = F.shape[-1]
         C = np.empty((len(F), *(dim,) * 4))
-        strain_loops(dim).tangent(kept.moduli, shear_factors(strain, kept.stress, kept.moduli, dim), N, C)
+        shear = shear_factors(strain, principal.stress, principal.moduli, dim)
+        strain_loops(dim).tangent(principal.moduli, shear, N, C)
         return C
 
 
@@ -114,11 +115,11 @@ class SmallClosed(_OfStrain):
     def _axes(self, F: Float) -> tuple[Float, Float]:
         return symmetric_axes(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))
 
-    def _stress(self, F: Float, kept: Principal) -> Float:
-        return self._of_strain(F, kept)
+    def _stress(self, F: Float, principal: Principal) -> Float:
+        return self._of_strain(F, principal)
 
-    def _tangent(self, F: Float, kept: Principal) -> Float:
-        return self._by_strain(F, kept)
+    def _tangent(self, F: Float, principal: Principal) -> Float:
+        return self._by_strain(F, principal)
 
 
 class GreenClosed(_OfStrain):
@@ -127,11 +128,11 @@ class GreenClosed(_OfStrain):
     def _axes(self, F: Float) -> tuple[Float, Float]:
         return symmetric_axes(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
 
-    def _stress(self, F: Float, kept: Principal) -> Float:
-        return np.asarray(F @ self._of_strain(F, kept))
+    def _stress(self, F: Float, principal: Principal) -> Float:
+        return np.asarray(F @ self._of_strain(F, principal))
 
-    def _tangent(self, F: Float, kept: Principal) -> Float:
-        S, C = self._of_strain(F, kept), self._by_strain(F, kept)
+    def _tangent(self, F: Float, principal: Principal) -> Float:
+        S, C = self._of_strain(F, principal), self._by_strain(F, principal)
         A = np.einsum("pia,pambn,pkb->pimkn", F, C, F, optimize=True)
         return np.asarray(A + np.einsum("ik,pmn->pimkn", np.eye(F.shape[-1]), S))
 
@@ -143,16 +144,16 @@ class LogarithmicClosed(ClosedPart):
         found = _trial(F)
         return found.strain[:, : F.shape[-1]], found.M
 
-    def _stress(self, F: Float, kept: Principal) -> Float:
+    def _stress(self, F: Float, principal: Principal) -> Float:
         P = np.empty_like(F)
-        stress(np.arange(len(F)), kept.stress, _trial(F), P)
+        stress(np.arange(len(F)), principal.stress, _trial(F), P)
         return P
 
-    def _tangent(self, F: Float, kept: Principal) -> Float:
+    def _tangent(self, F: Float, principal: Principal) -> Float:
         found, dim = _trial(F), F.shape[-1]
         A = np.empty((len(F), *(dim,) * 4))
-        shear = shear_factors(found.strain[:, : kept.stress.shape[1]], kept.stress, kept.moduli, dim)
-        tangent(np.arange(len(F)), kept.stress, kept.moduli, shear, found, A)
+        shear = shear_factors(found.strain[:, : principal.stress.shape[1]], principal.stress, principal.moduli, dim)
+        tangent(np.arange(len(F)), principal.stress, principal.moduli, shear, found, A)
         return A
 
 

@@ -106,9 +106,7 @@ class DruckerPrager(LogarithmicMaterial):
 
     def energy(self, elastic: Float, state: Float) -> Float:
         """Return elastic energy plus plastic work."""
-        mu, K = self.shear_and_bulk
-        mean = elastic.mean(axis=1)
-        return np.asarray(4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1) + state[:, 0])
+        return np.asarray(self._elastic_energy(elastic) + state[:, 0])
 
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
         """Return the trial stress, or the stress on the cone or apex if the trial stress is outside the cone."""

@@ -87,7 +87,7 @@ class EnergyMaterial(Material):
 
     def constants(self, dim: int) -> Float:
         """Return the constants in the declared order, and the lateral ratio of the linear law."""
-        lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
+        lam, mu = isotropic_mean(self._aligned_moduli())
         ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
         return np.array([*self._values(), ratio[self.kind(dim)]])
 
@@ -163,26 +163,36 @@ class EnergyMaterial(Material):
 
     def moduli(self, dim: int) -> Float:
         """Return ``dP/dF`` at F = I, or its isotropic mean if directions are functions of position."""
-        given = self.directions()
-        if any(callable(direction) for direction in given):
-            lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(given)))
-            solid = isotropic_moduli(lam, mu, 3)
-        else:
-            solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
-        return moduli_of_body(solid, dim, self.plane)
+        if any(map(callable, self.directions())):
+            return self._mean(dim)
+        return moduli_of_body(self._undeformed(self._axes())[1], dim, self.plane)
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return the value of the isotropic mean [stress], which does not depend on directions."""
-        mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
-        return float(np.einsum("iikk", moduli_of_body(mean, dim, self.plane))) / dim**2
+        return float(np.einsum("iikk", self._mean(dim))) / dim**2
 
-    def _solid_moduli(self, directions: Sequence[Float]) -> Float:
-        moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]
-        return moduli
+    def _mean(self, dim: int) -> Float:
+        mean = isotropic_moduli(*isotropic_mean(self._aligned_moduli()), 3)
+        return moduli_of_body(mean, dim, self.plane)
+
+    def _aligned_moduli(self) -> Float:
+        """Return the moduli of a solid with all fibres along the first axis (3, 3, 3, 3) [stress]."""
+        return self._undeformed([np.eye(3)[0]] * len(self.directions()))[1]
+
+    def _axes(self) -> list[Float]:
+        """Return the fibre directions in space (3,) each, the first axis if one is a function of position."""
+        given = self.directions()
+        if any(map(callable, given)):
+            return [np.eye(3)[0]] * len(given)
+        return [np.append(_unit(one, type(self).__name__), np.zeros(3))[:3] for one in given]
+
+    def _undeformed(self, axes: Sequence[Float]) -> tuple[Float, Float]:
+        """Return stress (3, 3) and moduli (3, 3, 3, 3) of a solid with fibres along axes at F = I [stress]."""
+        return _undeformed(self._energy, self._values(), tuple(map(tuple, axes)))
 
     def young_modulus(self) -> float:
         """Return ``mu (3 lambda + 2 mu) / (lambda + mu)`` of the law at small strain."""
-        moduli = self._solid_moduli([np.eye(3)[0]] * len(self.directions()))
+        moduli = self._aligned_moduli()
         lam, mu = isotropic_mean(moduli)
         if np.abs(moduli - isotropic_moduli(lam, mu, 3)).max() > NEARLY_ZERO * np.abs(moduli).max():
             raise CaseError(
@@ -194,10 +204,7 @@ class EnergyMaterial(Material):
     def _refuse_bad_start(self) -> None:
         """Raise CaseError if the undeformed state has a stress or is not stable."""
         name = type(self).__name__
-        given = self.directions()
-        fixed = all(not callable(one) for one in given)
-        axes = [np.append(_unit(one, name), np.zeros(3))[:3] if fixed else np.eye(3)[0] for one in given]
-        stress, moduli = _undeformed(self._energy, self._values(), tuple(map(tuple, axes)))
+        stress, moduli = self._undeformed(self._axes())
         size = float(np.abs(moduli).max())
         if not (np.isfinite(size) and np.isfinite(stress).all()):
             raise CaseError(f"The energy of {name} has no finite stress and tangent at F = I.")

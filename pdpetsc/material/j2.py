@@ -132,8 +132,6 @@ class J2(Yields, LogarithmicMaterial):
 
     def energy(self, elastic: Float, state: Float) -> Float:
         """Return elastic energy plus plastic work."""
-        mu, K = self.shear_and_bulk
-        alpha, mean = state[:, -1], elastic.mean(axis=1)
+        alpha = state[:, -1]
         work = self.flow.work(np.zeros(len(alpha)), alpha, alpha) if self.rate is None else state[:, 0]
-        stored = 4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1)
-        return np.asarray(stored + work)
+        return np.asarray(self._elastic_energy(elastic) + work)

@@ -94,6 +94,12 @@ class LogarithmicMaterial(SteppedMaterial):
         """Return the history of ``n`` undeformed points: G, hidden strains, and the law's own state."""
         return np.tile(np.concatenate([np.eye(dim).ravel(), np.zeros(KEPT), self.initial_state()]), (n, 1))
 
+    def _elastic_energy(self, elastic: Float) -> Float:
+        """Return the elastic energy (n,) [energy / volume] of principal strains (n, 3)."""
+        mu, K = self.shear_and_bulk
+        mean = elastic.mean(axis=1)
+        return np.asarray(4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1))
+
     def plastic_strain(self, history: Float) -> Float:
         """Return the last number of the state (n,) [-]: the accumulated plastic strain."""
         return history[:, -1]

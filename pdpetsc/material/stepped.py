@@ -138,12 +138,12 @@ class SteppedMaterial(HistoryMaterial):
     ) -> Iterator[Step]:
         """Yield blocks of points of F at the end of a step of duration ``dt``."""
         for first in range(0, len(select), BLOCK):
-            points, kept = select[first : first + BLOCK], history[first : first + BLOCK]
-            frame = self._trial(F, points, kept, kind)
-            given = frame.strain, self._state(kept, F.shape[-1]), np.full(len(points), dt)
+            points, rows = select[first : first + BLOCK], history[first : first + BLOCK]
+            frame = self._trial(F, points, rows, kind)
+            given = frame.strain, self._state(rows, F.shape[-1]), np.full(len(points), dt)
             free = kind in ("stress", "bar")
             response = self.free_across(*given, kind, moduli) if free else self.respond(*given, moduli)
-            yield Step(F, points, kept, kind, frame, response)
+            yield Step(F, points, rows, kind, frame, response)
 
     def free_across(self, strain: Float, state: Float, dt: Float, kind: Kind, moduli: bool) -> Any:
         """Compute the response for zero hidden stress; write the hidden strains to ``strain`` (n, ...).

@@ -54,9 +54,15 @@ class Unexpanded:
         """Return the product of hidden stretches from their elastic part (n,) [-]."""
         return elastic
 
+    def times(self, values: Float) -> Float:
+        """Return values of the points times the factor of the moduli."""
+        if self.multiplier is None:
+            return values
+        return np.asarray(values * self.multiplier.reshape(-1, *(1,) * (values.ndim - 1)))
+
     def _scale(self, values: Float) -> None:
         if self.multiplier is not None:
-            values[self.points] *= self.multiplier.reshape(-1, *(1,) * (values.ndim - 1))
+            values[self.points] = self.times(values[self.points])
 
 
 class StressFreeStrain(Unexpanded):
@@ -136,12 +142,6 @@ class StressFreeStrain(Unexpanded):
         S = np.zeros((len(P), 3, 3))
         S[:, : self.inside, : self.inside] = -P
         return S
-
-    def times(self, values: Float) -> Float:
-        """Return values of the points times the factor of the moduli."""
-        if self.multiplier is None:
-            return values
-        return np.asarray(values * self.multiplier.reshape(-1, *(1,) * (values.ndim - 1)))
 
     def _of_solid(self, F: Float) -> Float:
         """Return F with ``F_zz = 1`` if the law is that of a solid and the body is plane."""

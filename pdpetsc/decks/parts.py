@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float
-from pdpetsc.bounds import MOST_STEPS
+from pdpetsc.bounds import MOST_STEPS, whole_number
 from pdpetsc.decks.script import TIE, Body, Script, Where, quoted, relative, tidy
 from pdpetsc.decks.sections import Section
 from pdpetsc.declare.files import Mesh
@@ -46,9 +46,7 @@ def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: 
     whole = TextFile(path, sets, dim=dim).chunk(0, 1)
     codes = {name: relative(given, folder) if isinstance(given, Path) else repr(given) for name, given in sets.items()}
     lines = [f"    {quoted(name)}: {code}," for name, code in codes.items()]
-    given = (
-        f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
-    )
+    given = f"{relative(path, folder)}, {'node_sets=NODE_SETS, ' if sets else ''}dim={dim}"
     helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
     refuse_same_names(whole.sets)
     called = {tidy(name): name for name in whole.sets}
@@ -181,7 +179,7 @@ def reads_influence(script: Script, section: Section) -> bool:
         )
     if without == {True}:
         script.notes.leave_out(section, "Influence Function")
-        section.entries["Influence Function"].used = True
+        section.use("Influence Function")
         script.notes.differs(f"{place} has no effect: the bond-based material of {script.program} does not read it.")
     return without == {False}
 
@@ -352,6 +350,12 @@ def words(text: str) -> Sequence[str]:
     return text.replace(",", " ").split()
 
 
+def whole_numbers(text: str) -> list[int] | None:
+    """Return the whole numbers of a text; None if it has other words."""
+    numbers = [whole_number(word) for word in words(text)]
+    return None if None in numbers else [number for number in numbers if number is not None]
+
+
 @dataclass(frozen=True)
 class Law:
     """A material of the deck as code, with the kind of its forces and its zero-energy control."""
@@ -417,15 +421,10 @@ def _history(script: Script, one: Section, force: str, displacement: str) -> Non
             # Support forces, the negative of the internal forces that the deck sums.
             script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'
         script.notes.differs("Forces of blocks in the history are support forces, the opposite of internal forces.")
-        taken = ("Compute Class", "Variable", "Calculation Type", "Output Label")
+        one.use("Compute Class", "Variable", "Calculation Type", "Output Label")
     elif kind == "Nearest_Point_Data" and variable == displacement:
         point = tuple(one.number(axis) for axis in "XYZ"[: script.body.dim])
         for axis in axes:
             region = f"pd.region.Nearest({point!r})"
             script.history[f"{label}_{axis}"] = f'pd.Mean(pd.displacement, "{axis}", {region})'
-        taken = ("Compute Class", "Variable", "Output Label", "")
-    else:
-        return
-    for name in taken:
-        if name in one.entries:
-            one.text(name)
+        one.use("Compute Class", "Variable", "Output Label")

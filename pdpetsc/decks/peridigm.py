@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdpetsc.bounds import MOST_STEPS, real_number, whole_number
+from pdpetsc.bounds import MOST_STEPS, real_number
 from pdpetsc.decks import parts
 from pdpetsc.decks.expressions import parse_peridigm
 from pdpetsc.decks.free_motions import hold_free_motions
@@ -50,15 +50,15 @@ def translate(deck: Deck) -> Script:
     notes.leave_out(root, *_OF_OUTPUT)
     solvers = [root.sections[name] for name in root.sections if re.fullmatch(r"Solver\d*", name)]
     times = _times(solvers, deck)
-    body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck)
+    conditions = root.sections.get("Boundary Conditions", Section("Boundary Conditions", 0))
+    body = _body(root.section("Discretization"), conditions, deck)
     script = Script(deck.path, PROGRAM, body, times, notes)
     _blocks(script, root)
     parts.note_ties(script)
     parts.put_cracks(script, root.section("Discretization"))
     if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
-    if "Boundary Conditions" in root.sections:
-        _conditions(script, root.section("Boundary Conditions"), deck)
+    _conditions(script, conditions, deck)
     if not script.given:
         raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
     parts.histories(script, root, "Force", "Displacement")
@@ -73,16 +73,14 @@ def translate(deck: Deck) -> Script:
 # --- particles
 
 
-def _body(section: Section, conditions: Section | None, deck: Deck) -> Body:
+def _body(section: Section, conditions: Section, deck: Deck) -> Body:
     beside = deck.path.parent
     kind = section.text("Type")
     if section.flag("Compute Element-Horizon Intersections"):
         raise CaseError(f"{section.place} of the deck asks for intersections of elements with horizons: volumes of "
                         f"neighbours that are cut by the horizon have no counterpart here.")  # fmt: skip
     sets = _number_sets(conditions, beside)
-    for name in ("Element-Horizon Intersection Recursion Level", "Element-Horizon Intersection Number Of Samples"):
-        if name in section.entries:
-            section.text(name)
+    section.use("Element-Horizon Intersection Recursion Level", "Element-Horizon Intersection Number Of Samples")
     if kind == "PdQuickGrid":
         return grid_body(section, sets)
     path = beside / section.text("Input Mesh File")
@@ -99,16 +97,14 @@ def _body(section: Section, conditions: Section | None, deck: Deck) -> Body:
     )
 
 
-def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | list[int]]:
+def _number_sets(conditions: Section, beside: Path) -> dict[str, Path | list[int]]:
     """Return the node sets of a deck by numbers or files; they are among its boundary conditions."""
     found: dict[str, Path | list[int]] = {}
-    for name in () if conditions is None else list(conditions.entries):
-        if "NODE_SET" not in tidy(name):
-            continue
-        assert conditions is not None
-        text = conditions.text(name)
-        numbers = [whole_number(word) for word in parts.words(text)]
-        found[name] = [number for number in numbers if number is not None] if None not in numbers else beside / text
+    for name in conditions.entries:
+        if "NODE_SET" in tidy(name):
+            text = conditions.text(name)
+            numbers = parts.whole_numbers(text)
+            found[name] = beside / text if numbers is None else numbers
     parts.refuse_same_names(found)
     return found
 
@@ -223,7 +219,7 @@ def _material(section: Section, script: Script, widened: float) -> parts.Law:
                 "Hourglass forces act along the reference direction of a bond and derive from an energy; those of "
                 "Peridigm act along its present direction on its two ends alone."
             )
-    elif "Hourglass Coefficient" in section.entries:
+    else:
         script.notes.leave_out(section, "Hourglass Coefficient")
     found = _law(model, section, script, widened)
     if found is None:
@@ -309,8 +305,7 @@ def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where
 
 
 def _conditions(script: Script, section: Section, deck: Deck) -> None:
-    if "Create Node Set For Rank Deficient Nodes" in section.entries:
-        script.notes.leave_out(section, "Create Node Set For Rank Deficient Nodes")
+    script.notes.leave_out(section, "Create Node Set For Rank Deficient Nodes")
     for one in section.sections.values():
         kind = one.text("Type").replace("_", " ")
         if kind == "Initial Velocity" and deck.static:
@@ -327,8 +322,7 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         axis = "" if kind == "Prescribed Temperature" else one.text("Coordinate").lower()
         if axis and axis not in ("x", "y", "z"):
             raise CaseError(f"{one.entries['Coordinate'].place} of the deck is {axis!r}, not x, y or z.")
-        if not axis and "Coordinate" in one.entries:
-            one.text("Coordinate")
+        one.use("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
         where = script.body.node_set(set_name, one.place)

@@ -91,9 +91,8 @@ def _body(section: Section, deck: Deck) -> Body:
             f"the columns x y z block_id volume, with node sets by numbers."
         )
     path = beside / section.text("Input Mesh File")
-    if "Distribution Type" in section.entries:
-        section.text("Distribution Type")
-    given = section.sections.get("Node Sets")
+    section.use("Distribution Type")
+    given = section.sections.get("Node Sets", Section("Node Sets", 0))
     for column in TextFile(path).columns or ():
         if column in _UNUSED_COLUMNS:
             notes.differs(f"The column {column} of the mesh is not read: the deck has no model that does.")
@@ -112,8 +111,7 @@ def _body(section: Section, deck: Deck) -> Body:
     dim: Literal[2, 3] = 3 if TextFile(path).has("z") else 2
     places = TextFile(path, dim=dim).chunk(0, 1).x
     chosen: dict[str, Mask] = {}
-    for name in () if given is None else given.entries:
-        assert given is not None
+    for name in given.entries:
         text = given.text(name)
         if text.endswith(".txt"):
             files[name] = beside / text
@@ -140,8 +138,7 @@ def _numbers(place: str, text: str, count: int) -> list[int] | None:
         if not 1 <= bounds[0] <= bounds[1] <= count:
             raise CaseError(f"{place} of the deck is {text!r}, not numbers of particles from 1 to {count}.")
         return list(range(bounds[0], bounds[1] + 1))
-    numbers = [whole_number(word) for word in parts.words(text)]
-    return None if None in numbers else [number for number in numbers if number is not None]
+    return parts.whole_numbers(text)
 
 
 # --- materials
@@ -360,8 +357,7 @@ def _conditions(script: Script, section: Section) -> None:
         axis = "" if found == "Temperature" else one.text("Coordinate")
         if axis and axis not in "xyz"[: script.body.dim]:
             raise CaseError(f"{one.place} of the deck has coordinate {axis!r} of a {script.body.dim}D body.")
-        if not axis and "Coordinate" in one.entries:
-            one.text("Coordinate")
+        one.use("Coordinate")
         named = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
         where = functools.reduce(operator.or_, named)
         value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
@@ -377,8 +373,7 @@ def _conditions(script: Script, section: Section) -> None:
 
 def _where(body: Body, name: str, place: str) -> Where:
     own = body.called.get(tidy(name))
-    if own in body.regions:
-        assert own is not None
+    if own is not None and own in body.regions:
         return Where(body.regions[own], np.asarray(body.sets[own]))
     return body.node_set(name, place)
 

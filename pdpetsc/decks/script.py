@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -364,13 +364,9 @@ class Script:
         for later in range(len(self.given)):
             for earlier in range(later):
                 one, other = self.given[earlier], self.given[later]
-                if (one.kind, one.axis) != (other.kind, other.axis):
-                    continue
-                if not (one.where.mask & other.where.mask).any():
-                    continue
-                self.given[earlier] = Given(
-                    one.kind, one.axis, one.where.without(other.where), one.value, one.place, one.since
-                )
+                same = (one.kind, one.axis) == (other.kind, other.axis)
+                if same and (one.where.mask & other.where.mask).any():
+                    self.given[earlier] = replace(one, where=one.where.without(other.where))
         self.given = [given for given in self.given if given.where.mask.any()]
 
     def _condition(self, given: Given) -> list[str]:

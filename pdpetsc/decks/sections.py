@@ -118,6 +118,12 @@ class Section:
                 continue
             yield from section.leaves()
 
+    def use(self, *names: str) -> None:
+        """Mark existing entries of these names as read."""
+        for name in names:
+            if name in self.entries:
+                self.entries[name].used = True
+
     def use_all(self) -> None:
         """Mark all entries of the section and its subsections as read."""
         for entry in self.leaves():

@@ -10,7 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.horizon import spacings
-from pdpetsc.declare.particles import Chunk, Particles
+from pdpetsc.declare.particles import Chunk, Particles, ends_of_part
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.tiling import Cells
 from pdpetsc.errors import CaseError
@@ -85,7 +85,7 @@ class Bodies(Particles):
         }
         for number, name in enumerate(self.parts):
             sets[name] = body == number
-        rows = slice(part * len(body) // parts, (part + 1) * len(body) // parts)
+        rows = slice(*ends_of_part(part, parts, len(body)))
         return Chunk(
             np.concatenate([chunk.x for chunk in chunks])[rows],
             np.concatenate([chunk.volume for chunk in chunks])[rows],
@@ -112,7 +112,7 @@ class Bodies(Particles):
             tags,
             np.concatenate(known) if len(known) == len(found) else None,
         )
-        return whole.of_particles(part * first[-1] // parts, (part + 1) * first[-1] // parts)
+        return whole.of_particles(*ends_of_part(part, parts, first[-1]))
 
     def stairs(self, part: int, parts: int) -> int:
         """Return the number of facets that are steps of a staircase."""

@@ -280,21 +280,24 @@ def flat_parts(
     as_is = ~(bent | round_)
     places, areas, facet = [x[as_is]], [area[as_is]], [np.flatnonzero(as_is)]
     count = (corners >= 0).sum(axis=1)
+
+    def add(rows: GlobalIndex, at: Float, of: Float) -> None:
+        places.append(at.reshape(-1, x.shape[1]))
+        areas.append((_signs(of, area[rows])[:, None, None] * of).reshape(-1, x.shape[1]))
+        facet.append(np.repeat(rows, at.shape[1]))
+
     for m in (2, 3, 4):
         rows = np.flatnonzero(round_ & (count == m))
         if len(rows):
-            at, of = curved.quadrature(points, corners[rows, :m], middle[rows], degree=1)
-            sign = np.where((of.sum(axis=1) * area[rows]).sum(axis=1) < 0.0, -1.0, 1.0)
-            places.append(at.reshape(-1, x.shape[1]))
-            areas.append((sign[:, None, None] * of).reshape(-1, x.shape[1]))
-            facet.append(np.repeat(rows, at.shape[1]))
+            add(rows, *curved.quadrature(points, corners[rows, :m], middle[rows], degree=1))
     if bent.any():
-        at, of = _quadrature(points[corners[bent]])
-        sign = np.where((of.sum(axis=1) * area[bent]).sum(axis=1) < 0.0, -1.0, 1.0)
-        places.append(at.reshape(-1, 3))
-        areas.append((sign[:, None, None] * of).reshape(-1, 3))
-        facet.append(np.repeat(np.flatnonzero(bent), _WIDTH))
+        add(np.flatnonzero(bent), *_quadrature(points[corners[bent]]))
     return np.concatenate(places), np.concatenate(areas), np.concatenate(facet)
+
+
+def _signs(parts: Float, area: Float) -> Float:
+    """Return 1 for facets whose parts (n, q, dim) add up along their vector areas (n, dim), else -1 (n,)."""
+    return np.where((parts.sum(axis=1) * area).sum(axis=1) < 0.0, -1.0, 1.0)
 
 
 def _warped(points: Float, corners: GlobalIndex) -> Mask:
@@ -346,7 +349,7 @@ def parts_of_facets(
         x = points[corners[of]]
         bent = _warped(points, corners[of])[:, None]
         at, part = _quadrature(x)
-        sign = np.where((part.sum(axis=1) * area[of]).sum(axis=1) < 0.0, -1.0, 1.0)
+        sign = _signs(part, area[of])
         for corner in range(_WIDTH):
             quarter = _quarter(x, corner)
             nodes.append(corners[of, corner])

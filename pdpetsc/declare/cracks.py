@@ -75,10 +75,8 @@ class Segment(Crack):
         if size == 0.0:
             raise CaseError("A crack Segment needs two different ends.")
         side_a, side_b = _cross(along, a - p) / size, _cross(along, b - p) / size
-        close = TOUCHING * np.linalg.norm(b - a, axis=1)
-        crossing = ((side_a >= -close) & (side_b <= close)) | ((side_b >= -close) & (side_a <= close))
-        share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
-        where = ((a + share[:, None] * (b - a) - p) @ along) / size
+        crossing, close, place = _between_sides(a, b, side_a, side_b)
+        where = ((place - p) @ along) / size
         return np.asarray(crossing & (where >= -close) & (where <= size + close))
 
     def normals(self, x: Float) -> Float:
@@ -248,10 +246,16 @@ def _crossing(
     if size == 0.0:
         raise CaseError("A crack needs a normal that is not zero.")
     side_a, side_b = (a - p) @ n / size, (b - p) @ n / size
-    share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
+    crossing, _, where = _between_sides(a, b, side_a, side_b)
+    return crossing, where
+
+
+def _between_sides(a: Float, b: Float, side_a: Float, side_b: Float) -> tuple[Mask, Float, Float]:
+    """Return which bonds cross a surface at distances ``side_a`` and ``side_b``, tolerances, and crossing points."""
     close = TOUCHING * np.linalg.norm(b - a, axis=1)
     crossing = ((side_a >= -close) & (side_b <= close)) | ((side_b >= -close) & (side_a <= close))
-    return crossing, a + share[:, None] * (b - a)
+    share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
+    return crossing, close, a + share[:, None] * (b - a)
 
 
 def _inside(corners: Float, where: Float) -> Mask:

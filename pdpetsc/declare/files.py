@@ -33,7 +33,7 @@ from pdpetsc.declare.cells import (
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, files_of, read_mesh
-from pdpetsc.declare.particles import Arrays, Chunk, Particles
+from pdpetsc.declare.particles import Arrays, Chunk, Particles, ends_of_part
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.text_file import without_constant
 from pdpetsc.declare.tiling import Cells
@@ -116,7 +116,7 @@ class Mesh(Particles):
         set. They have the names of the sets of particles. A name that cells have too means the facets here.
         """
         count, found = self._facets(cracks) if cracks else _whole_surface(self, stamp_of(self.path))
-        return found.of_particles(part * count // parts, (part + 1) * count // parts)
+        return found.of_particles(*ends_of_part(part, parts, count))
 
     def triangles(self, part: int, parts: int) -> Float | None:
         """Return the free facets of all cells as triangles in the first part; quadrilaterals are halved."""
@@ -253,7 +253,7 @@ class MeshNodes(Mesh):
         nodes, volume = shares_of_nodes(points, blocks)
         sets = _node_sets(mesh, points, blocks, nodes)
         found = Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
-        rows = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
+        rows = slice(*ends_of_part(part, parts, len(nodes)))
         return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
 
     on_surface = True

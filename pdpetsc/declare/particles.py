@@ -43,6 +43,11 @@ class Chunk:
     body: GlobalIndex | None = None
 
 
+def ends_of_part(part: int, parts: int, count: int) -> tuple[int, int]:
+    """Return the first row of the ``part``-th of ``parts`` contiguous parts of ``count`` rows, and that after it."""
+    return part * count // parts, (part + 1) * count // parts
+
+
 class Particles(Declared, ABC):
     """A cloud of particles that can be created in parts."""
 
@@ -243,7 +248,7 @@ class Lattice(Particles):
         after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
         counts = real + before + after
         total = int(np.prod(counts))
-        index = np.arange(part * total // parts, (part + 1) * total // parts)
+        index = np.arange(*ends_of_part(part, parts, total))
         cell = np.stack(np.unravel_index(index, counts), axis=1) - before
         x = low + (cell + 0.5) * self.spacing
         sets = self._sets(x, np.all((cell >= 0) & (cell < real), axis=1))
@@ -381,7 +386,7 @@ class LatticeNodes(Particles):
         x, offsets, filled = self._corners(part, parts)
         dim = x.shape[1]
         side = float(_cell_sides(np.full(dim, self.spacing), self.thickness)[0]) / 2.0 ** (dim - 1)
-        places, areas, particles, tags = [np.empty((0, dim))], [np.empty((0, dim))], [np.empty(0, np.int64)], []
+        places, areas, particles, sides = [np.empty((0, dim))], [np.empty((0, dim))], [np.empty(0, np.int64)], []
         for number, offset in enumerate(offsets):
             for axis in range(dim):
                 across = np.flatnonzero((offsets == np.where(np.arange(dim) == axis, -offset, offset)).all(axis=1))[0]
@@ -390,12 +395,8 @@ class LatticeNodes(Particles):
                 places.append(x[found] + 0.25 * self.spacing * np.where(np.arange(dim) == axis, 0.0, offset))
                 areas.append(np.tile(-side * offset[axis] * np.eye(dim)[axis], (len(found), 1)))
                 particles.append(found)
-                tags += [f"{'-' if offset[axis] > 0.0 else '+'}{'xyz'[axis]}"] * len(found)
-        looks = np.array(tags, dtype="U2")
-        named = {f"{sign}{axis}": looks == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
-        middle, area = np.concatenate(places), np.concatenate(areas)
-        corners = box_corners(middle, area, np.full(dim, 0.5 * self.spacing))
-        return Facets(middle, area, np.concatenate(particles), named, corners)
+                sides += [f"{'-' if offset[axis] > 0.0 else '+'}{'xyz'[axis]}"] * len(found)
+        return _joined_facets(places, areas, particles, sides, np.full(dim, 0.5 * self.spacing))
 
     def stairs(self, part: int, parts: int) -> int:
         """Return the number of facets of the cells of a part that are steps of a staircase."""
@@ -424,7 +425,7 @@ class LatticeNodes(Particles):
         """
         cells, counts = self._cells, self._counts
         total = math.prod(counts)
-        index = np.arange(part * total // parts, (part + 1) * total // parts)
+        index = np.arange(*ends_of_part(part, parts, total))
         low, _ = cells.box
         node = np.stack(np.unravel_index(index, counts), axis=1)
         offsets = np.array(list(itertools.product((-1.0, 1.0), repeat=cells.dim)))
@@ -503,7 +504,7 @@ class Arrays(Particles):
             No facets are declared and the particles form no lattice, or cracks cut cells whose faces are unknown.
         """
         x = np.asarray(self.x, dtype=float)
-        first, last = part * len(x) // parts, (part + 1) * len(x) // parts
+        first, last = ends_of_part(part, parts, len(x))
         if self.facets is not None:
             if cracks:
                 raise CaseError(
@@ -521,7 +522,7 @@ class Arrays(Particles):
         """Return the number of facets of a part that are steps of a staircase; 0 for irregular particles."""
         x = np.asarray(self.x, dtype=float)
         lattice = self._lattice()
-        return 0 if lattice is None else _stairs(x[part * len(x) // parts : (part + 1) * len(x) // parts], *lattice)
+        return 0 if lattice is None else _stairs(x[slice(*ends_of_part(part, parts, len(x)))], *lattice)
 
     def _lattice(self) -> tuple[Float, Callable[[Float], Mask]] | None:
         """Return the sizes of the cells (dim,) [length], and a function that flags positions (n, dim) of centres.
@@ -547,7 +548,7 @@ class Arrays(Particles):
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return rows ``part`` of ``parts`` of the arrays."""
         x = np.asarray(self.x, dtype=float)
-        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
+        rows = slice(*ends_of_part(part, parts, len(x)))
         sets = {}
         for name, members in self.sets.items():
             flags = np.zeros(len(x), dtype=bool)
@@ -597,8 +598,16 @@ def _lattice_facets(
             areas.append(np.tile(side[axis] * step, (len(found), 1)))
             particles.append(found)
             directions += [f"{'-' if sign < 0.0 else '+'}{'xyz'[axis]}"] * len(found)
+    return _joined_facets(places, areas, particles, directions, sizes)
+
+
+def _joined_facets(
+    places: Sequence[Float], areas: Sequence[Float], particles: Sequence[GlobalIndex], directions: Sequence[str],
+    sizes: Float,
+) -> Facets:  # fmt: skip
+    """Return the faces of boxes of some sizes (dim,), each with its direction, such as ``-x``, as a tag."""
     named = np.array(directions, dtype="U2")
-    tags = {f"{sign}{axis}": named == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
+    tags = {f"{sign}{axis}": named == f"{sign}{axis}" for axis in "xyz"[: len(sizes)] for sign in "-+"}
     x, area = np.concatenate(places), np.concatenate(areas)
     return Facets(x, area, np.concatenate(particles), tags, box_corners(x, area, sizes))
 

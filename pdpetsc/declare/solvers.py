@@ -146,8 +146,15 @@ class EventDriven(DeclaredSolver):
     restarts = False
 
 
+class PathMeasure(Declared):
+    """Measure of a path, which grows in every step."""
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError if the measure does not fit a body of ``dim`` dimensions."""
+
+
 @dataclass(frozen=True)
-class BondStretch(Declared):
+class BondStretch(PathMeasure):
     """Measure of a path: the largest driving variable of the bonds that have not failed, such as the stretch.
 
     It increases in every step, also if the load decreases.
@@ -165,12 +172,9 @@ class BondStretch(Declared):
 
     step: Positive = 0.1
 
-    def check(self, dim: int) -> None:
-        """Accept every dimension."""
-
 
 @dataclass(frozen=True)
-class Opening(Declared):
+class Opening(PathMeasure):
     """Measure of a path: the mean displacement of a region relative to another, such as the opening of a notch.
 
     It increases in every step, also if the load decreases.
@@ -213,7 +217,7 @@ class Opening(Declared):
 
 
 @dataclass(frozen=True)
-class Dissipation(Declared):
+class Dissipation(PathMeasure):
     """Measure of a path: the energy dissipated by damage at gradient points (``PointDamage``).
 
     It increases while a crack grows, also if the load decreases. As long as no point fails, the load increases.
@@ -232,12 +236,9 @@ class Dissipation(Declared):
 
     step: Positive
 
-    def check(self, dim: int) -> None:
-        """Accept every dimension."""
-
 
 @dataclass(frozen=True)
-class ArcLength(Declared):
+class ArcLength(PathMeasure):
     """Measure of a path: its length, from the root mean square of the displacement increments over the volume.
 
     It passes limit points of load and of displacement, for bodies that snap. A step goes on in the direction of the
@@ -260,9 +261,6 @@ class ArcLength(Declared):
 
     step: Positive
     end: Positive
-
-    def check(self, dim: int) -> None:
-        """Accept every dimension."""
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ class TextFile(Particles):
         >>> pd.TextFile(path).column("angle")
         array([0.1, 0.3])
         """
-        _, names, table = _read(Path(self.path))
+        names, table = _read(Path(self.path))
         wanted = _COLUMNS.get(name.lower(), name.lower())
         if names is None or wanted not in names:
             has = f"its columns are {', '.join(names)}" if names else "its columns have no names"
@@ -110,11 +110,11 @@ class TextFile(Particles):
     @property
     def columns(self) -> list[str] | None:
         """Return the names of the columns; None for a file without names."""
-        return _read(Path(self.path))[1]
+        return _read(Path(self.path))[0]
 
     def has(self, name: str) -> bool:
         """Return True if the file has a column of this name; without names, columns are ``x y z block volume``."""
-        _, names, table = _read(Path(self.path))
+        names, table = _read(Path(self.path))
         have = names if names is not None else [*"xyz"[: table.shape[1] - 2], "block", "volume"]
         return _COLUMNS.get(name.lower(), name.lower()) in have
 
@@ -130,7 +130,7 @@ class TextFile(Particles):
 
     def _arrays(self) -> Arrays:
         path = Path(self.path)
-        _, names, table = _read(path)
+        names, table = _read(path)
         x, block, volume = _columns(path, names, table)
         sets = {}
         if block is not None:
@@ -147,7 +147,7 @@ class TextFile(Particles):
         for name, given in self.node_sets.items():
             if name in sets:
                 raise CaseError(f"The node set {name!r} has the name of a block of {path}; give it another one.")
-            sets[name] = _members(given if isinstance(given, str | Path) else None, given, name, len(table))
+            sets[name] = _members(given, name, len(table))
         return Arrays(self._of_dim(x), volume, sets, self.thickness)
 
     def _of_dim(self, x: Float) -> Float:
@@ -233,23 +233,23 @@ def without_constant(x: Float, at_least: int = 1) -> Float:
     return x[:, :dim]
 
 
-def _members(path: str | Path | None, given: object, name: str, count: int) -> Mask:
+def _members(given: object, name: str, count: int) -> Mask:
     """Return the flags of a set of particles (count,), given by numbers from 1 on in a file or a list."""
-    if path is None:
+    if isinstance(given, str | Path):
+        what = str(given)
+        rows = [row for row in _lines(Path(given)) if row.split("#", 1)[0].strip()]
+        first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
+        # Lines may have several numbers, not the same number in each.
+        text = " ".join(row.split("#", 1)[0].replace(",", " ") for row in rows[first:])
+        members = np.ravel(_table(Path(given), [text])) if text.strip() else np.zeros(0)
+        if not len(members):
+            raise CaseError(f"{given} has no lines of numbers.")
+    else:
         what = f"Node set {name!r}"
         try:
             members = np.asarray(given, dtype=float).ravel()
         except (TypeError, ValueError, OverflowError):
             raise CaseError(f"{what} takes a file or particle numbers, not {shown(given)}.") from None
-    else:
-        what = str(path)
-        rows = [row for row in _lines(Path(path)) if row.split("#", 1)[0].strip()]
-        first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
-        # Lines may have several numbers, not the same number in each.
-        text = " ".join(row.split("#", 1)[0].replace(",", " ") for row in rows[first:])
-        members = np.ravel(_table(Path(path), [text])) if text.strip() else np.zeros(0)
-        if not len(members):
-            raise CaseError(f"{path} has no lines of numbers.")
     if not (members == np.round(members)).all():
         raise CaseError(f"{what} holds particle numbers that are not whole.")
     if len(members) and (members.min() < 1 or members.max() > count):
@@ -259,11 +259,11 @@ def _members(path: str | Path | None, given: object, name: str, count: int) -> M
     return flags
 
 
-def _read(path: Path) -> tuple[list[str], list[str] | None, Float]:
-    """Return the lines of a cloud, the names of its columns (None if unnamed), and the table."""
+def _read(path: Path) -> tuple[list[str] | None, Float]:
+    """Return the names of the columns of a cloud (None if unnamed), and the table."""
     lines = _lines(path)
     names, start = _header(path, lines)
-    return lines, names, _table(path, lines[start:])
+    return names, _table(path, lines[start:])
 
 
 def _lines(path: Path) -> list[str]:

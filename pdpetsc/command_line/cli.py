@@ -46,7 +46,7 @@ from typing import Any, NoReturn
 from pdpetsc.command_line.arguments import Arguments, split
 from pdpetsc.command_line.case_file import arguments_of, load_case, make_case
 from pdpetsc.command_line.commands import COMMANDS, command, refuse_command, usage_of
-from pdpetsc.command_line.start import start_petsc, take_signals
+from pdpetsc.command_line.start import handle_signals, start_petsc
 from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
 from pdpetsc.machine import stamp_of
 
@@ -57,13 +57,13 @@ LONGEST_END = 120
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its status; a rank that fails alone aborts all."""
     _keep_going_without_readers()
-    take_signals()
+    handle_signals()
     failure: BaseException | None = None
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
     except BaseException as error:
         # A second signal, forwarded by mpirun, must not interrupt the message about the first.
-        take_signals(signal.SIG_IGN)
+        handle_signals(signal.SIG_IGN)
         failure, status = error, _failed(error)
     with contextlib.suppress(ValueError):
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from pdpetsc.command_line.arguments import Arguments
-from pdpetsc.command_line.start import processes_started, start_petsc, take_signals
+from pdpetsc.command_line.start import handle_signals, processes_started, start_petsc
 from pdpetsc.errors import RunError, described
 from pdpetsc.machine import cores, threads
 
@@ -335,7 +335,7 @@ def run(path: None, arguments: Arguments) -> int:
         what, _, advice = error.what.partition("; ")
         tell([*versions(None), Finding("broken", "petsc4py", what, advice)])
         return 1
-    take_signals()
+    handle_signals()
     from pdpetsc.discrete.communicator import world
 
     return doctor(world())

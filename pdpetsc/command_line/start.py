@@ -40,9 +40,7 @@ def start_petsc(words: Sequence[str] = ()) -> None:
         petsc4py is not installed, or cannot be loaded.
     """
     for option, value in pairwise([*words, *os.environ.get("PETSC_OPTIONS", "").split()]):
-        # The name of a file may have a suffix for PETSc: "q.txt:yaml".
-        files = {value, value.rpartition(":")[0]} - {""}
-        if option.lower().lstrip("-") in OPTIONS_FILES and not any(map(os.path.isfile, files)):
+        if _names_file(option) and not any(map(os.path.isfile, _file_names(value))):
             raise CaseError(f"Cannot read the options of PETSc in {value}: no such file.")
     try:
         import petsc4py
@@ -54,7 +52,7 @@ def start_petsc(words: Sequence[str] = ()) -> None:
         raise RunError(cannot_load("petsc4py", error)) from None
 
 
-def take_signals(handler: Any = None) -> None:
+def handle_signals(handler: Any = None) -> None:
     """Set the handler of signals, by default KeyboardInterrupt, except for ignored ones, as under nohup."""
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -66,16 +64,24 @@ def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
 
+def _names_file(option: str) -> bool:
+    """Return True for an option of PETSc that names a file of options."""
+    return option.lower().lstrip("-") in OPTIONS_FILES
+
+
+def _file_names(value: str) -> set[str]:
+    """Return the names that a value may mean: it may have a suffix for PETSc, "q.txt:yaml"."""
+    return {value, value.rpartition(":")[0]} - {""}
+
+
 def files_of_options(options: Sequence[str]) -> list[str]:
     """Return the files of options that PETSc reads, with the files that they name."""
     found: list[str] = []
     waiting = [*options, *os.environ.get("PETSC_OPTIONS", "").split()]
     while waiting:
-        word = waiting.pop(0)
-        if word.lower().lstrip("-") not in OPTIONS_FILES or not waiting:
+        if not _names_file(waiting.pop(0)) or not waiting:
             continue
-        # The name of a file may have a suffix for PETSc: "q.txt:yaml".
-        for file in {waiting[0], waiting[0].rpartition(":")[0]} - {"", *found}:
+        for file in _file_names(waiting[0]).difference(found):
             found.append(file)
             with contextlib.suppress(OSError):
                 lines = Path(file).read_text(errors="replace").splitlines()

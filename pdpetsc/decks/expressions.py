@@ -211,21 +211,21 @@ class _Parser:
     def _next(self) -> str:
         return self._words[self._at] if self._at < len(self._words) else ""
 
-    def _take(self, word: str) -> bool:
+    def _accept(self, word: str) -> bool:
         found = self._next() == word
         self._at += found
         return found
 
-    def _need(self, word: str) -> None:
-        if not self._take(word):
+    def _expect(self, word: str) -> None:
+        if not self._accept(word):
             raise self._wrong(f"{word!r} is missing before {self._next() or 'its end'!r}")
 
     def _statement(self) -> str:
         """Return the next statement as Python."""
-        if self._take("value"):
-            self._need("=")
+        if self._accept("value"):
+            self._expect("=")
         found = self._expression()
-        self._take(";")
+        self._accept(";")
         return found
 
     def _expression(self) -> str:
@@ -317,21 +317,21 @@ class _PeridigmParser(_Parser):
     power: ClassVar[Sequence[str]] = ("^",)
 
     def _statement(self) -> str:
-        if not self._take("if"):
+        if not self._accept("if"):
             return super()._statement()
-        self._need("(")
+        self._expect("(")
         condition = self._expression()
-        self._need(")")
+        self._expect(")")
         value = self._block()
-        if not self._take("else"):
+        if not self._accept("else"):
             raise self._wrong("an if needs an else")
         other = self._statement() if self._next() == "if" else self._block()
         return f"ifelse({condition}, {value}, {other})"
 
     def _block(self) -> str:
-        self._need("{")
+        self._expect("{")
         found = self._statement()
-        self._need("}")
+        self._expect("}")
         return found
 
     def _bound(self, tree: ast.expr) -> ast.expr:

@@ -33,27 +33,27 @@ class _Numbers(ABC):
     """The numbers of a section, read in turn."""
 
     @abstractmethod
-    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+    def read(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
         """Return the next numbers, of kind ``binary`` in binary files and of type ``text`` in text files."""
 
     def ints(self, count: int) -> GlobalIndex:
         """Return integers of 4 bytes."""
-        return self.take(count, "<i4", int).astype(np.int64)
+        return self.read(count, "<i4", int).astype(np.int64)
 
     def sizes(self, count: int) -> GlobalIndex:
         """Return counts and tags of 8 bytes."""
-        return self.take(count, "<u8", int).astype(np.int64)
+        return self.read(count, "<u8", int).astype(np.int64)
 
     def reals(self, count: int) -> Float:
         """Return floating-point numbers."""
-        return self.take(count, "<f8", float).astype(np.float64)
+        return self.read(count, "<f8", float).astype(np.float64)
 
 
 class _Binary(_Numbers):
     def __init__(self, file: BinaryIO, end: bytes) -> None:
         self._file = file
 
-    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+    def read(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
         _refuse_negative(count)
         kind = np.dtype(binary)
         raw = self._file.read(count * kind.itemsize)
@@ -72,7 +72,7 @@ class _Text(_Numbers):
         else:
             raise CaseError(f"its section before {end.decode()} does not end")
 
-    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+    def read(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
         _refuse_negative(count)
         words = self._words[self._at : self._at + count]
         if len(words) < count:

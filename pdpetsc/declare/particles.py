@@ -252,10 +252,10 @@ class Lattice(Particles):
         cell = np.stack(np.unravel_index(index, counts), axis=1) - before
         x = low + (cell + 0.5) * self.spacing
         sets = self._sets(x, np.all((cell >= 0) & (cell < real), axis=1))
-        kept = self._kept(x, sets)
+        filled = self._filled(x, sets)
         volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
-        spacing = np.full(np.count_nonzero(kept), float(self.spacing))
-        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()}, spacing)
+        spacing = np.full(np.count_nonzero(filled), float(self.spacing))
+        return Chunk(x[filled], volume[filled], {name: flags[filled] for name, flags in sets.items()}, spacing)
 
     def cells(self) -> Cells:
         """Return the cells of the lattice."""
@@ -283,18 +283,18 @@ class Lattice(Particles):
         last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         inside = np.all((x > first) & (x < last), axis=1)
         real = np.all((x > low) & (x < high), axis=1)
-        inside[inside] = self._kept(x[inside], self._sets(x[inside], real[inside]))
+        inside[inside] = self._filled(x[inside], self._sets(x[inside], real[inside]))
         return np.asarray(inside)
 
-    def _kept(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
+    def _filled(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
         """Return flags of the cells that have a particle."""
         view = View(x, sets, minimum=_refuse_nearest)
-        kept = np.ones(len(x), dtype=bool)
+        filled = np.ones(len(x), dtype=bool)
         if self.keep is not None:
-            kept &= self.keep.mask(view)
+            filled &= self.keep.mask(view)
         if self.cut is not None:
-            kept &= ~self.cut.mask(view)
-        return kept
+            filled &= ~self.cut.mask(view)
+        return filled
 
     def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
         """Return the named sets of cells at ``x``, from the flags ``real`` of cells in the real body."""

@@ -376,8 +376,8 @@ def read_checkpoint(
     problem.freeze(head.frozen)
     if damage is not None:
         problem.bonds_restored()
-    for name, kept in arrays.items():
-        _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
+    for name, stored in arrays.items():
+        _put(stored, cloud, order.from_parts(tables[name]), f"{path}: {name}")
     problem.restored(head.t)
     u = _with_virtual(cloud, order.from_parts(part), head.virtual)
     at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), head.tangent_virtual)

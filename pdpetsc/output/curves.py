@@ -84,12 +84,10 @@ def newton_figure(summary: Mapping[str, Any]) -> Any:
 def curve(axis: Any, x: Float, y: Float, label: str | None = None) -> None:
     """Draw one column against another."""
     axis.plot(x, y, "o-" if len(x) <= MARKED else "-", markersize=3.5, linewidth=1.3, label=label)
-    finite = np.abs(y[np.isfinite(y)])
-    if len(finite) and np.ptp(y[np.isfinite(y)]) <= 1e-9 * finite.max():
+    finite = y[np.isfinite(y)]
+    if len(finite) and np.ptp(finite) <= 1e-9 * np.abs(finite).max():
         # Do not magnify round-off.
-        axis.set_ylim(
-            np.sort([0.9 * y[np.isfinite(y)][0], 1.1 * y[np.isfinite(y)][0]]) if finite.max() else (-1.0, 1.0)
-        )
+        axis.set_ylim(np.sort([0.9 * finite[0], 1.1 * finite[0]]) if finite.any() else (-1.0, 1.0))
     axis.grid(alpha=0.3)
 
 

@@ -128,7 +128,7 @@ class FieldWriter:
         self._folder = folder
         self._run = run
         self._fields = dict(zip(_names(fields), fields, strict=True))
-        self.together = on_several_nodes(cloud.comm) and h5py.get_config().mpi
+        self.parallel = on_several_nodes(cloud.comm) and h5py.get_config().mpi
         self._index: Index | None = None
         earlier: list[Step] = []
         there = False
@@ -190,14 +190,14 @@ class FieldWriter:
                             writing_hdf5(aside, size, track_order=True)
                         )
                         file.attrs["t"], file.attrs["run"] = t, self._run
-                        if self.together:
+                        if self.parallel:
                             # All ranks open the file again with parallel HDF5.
                             made.close()
                             reserve(aside, size)
                     except WRITE_ERRORS as error:
                         raise cannot_write(path, error) from error
             aside = comm.bcast(aside)
-            failure = self._at_once(aside, values) if self.together else self._in_turn(file, values)
+            failure = self._at_once(aside, values) if self.parallel else self._in_turn(file, values)
             with agreed(comm):
                 if failure is not None:
                     raise cannot_write(path, failure) from failure

@@ -75,7 +75,7 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 with _one_at_a_time(folder):
-                    _take(folder, me)
+                    _lock(folder, me)
             except OSError as error:
                 why = getattr(error.__cause__ or error, "strerror", None) or error
                 raise CaseError(f"Cannot write to the output folder {folder}: {why}.") from None
@@ -117,7 +117,7 @@ def _one_at_a_time(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _take(folder: Path, me: Holder) -> None:
+def _lock(folder: Path, me: Holder) -> None:
     """Write the lock file of this process into a folder; raises CaseError if another process locks it, OSError."""
     lock = folder / LOCK
     _refuse_holder(folder, lock)

@@ -28,7 +28,7 @@ DPI, DPI_OF_FRAMES = 150, 90
 # Largest number of frames of a film, and frames per second.
 FRAMES, PER_SECOND = 120, 10
 # Steps of a film that one process draws.
-TOGETHER = 8
+PER_PROCESS = 8
 # Time limit of PyVista for one picture [s].
 LONGEST = 120
 # Mark by which a later run recognises pictures that it may move aside.
@@ -67,9 +67,9 @@ def picture_of_run(folder: Path, field: str | None = None, component: str = "", 
     """
     names = StoredFields(folder).names()
     if field is None:
-        kept = _kept_picture(folder) if scale == 1.0 else None
-        if kept is not None or "displacement" not in names:
-            return kept
+        stored = _stored_picture(folder) if scale == 1.0 else None
+        if stored is not None or "displacement" not in names:
+            return stored
         field, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "picture.png"
@@ -77,7 +77,7 @@ def picture_of_run(folder: Path, field: str | None = None, component: str = "", 
         return path.read_bytes()
 
 
-def _kept_picture(folder: Path) -> bytes | None:
+def _stored_picture(folder: Path) -> bytes | None:
     try:
         path = folder / "picture.png"
         # The picture is drawn after the last summary; an older picture shows the run before a restart.
@@ -113,8 +113,8 @@ def draw_film(
     limits, box = frame_of(folder, name, component, scale, chosen, cuts)
     with tempfile.TemporaryDirectory() as place, replacing(path) as aside:
         frames = [Path(place) / f"{number:05d}.png" for number in range(len(chosen))]
-        for first in range(0, len(chosen), TOGETHER):
-            some = slice(first, first + TOGETHER)
+        for first in range(0, len(chosen), PER_PROCESS):
+            some = slice(first, first + PER_PROCESS)
             scenes = [scene_of(folder, name, component, scale, title, step, limits, cuts) for step in chosen[some]]
             _draw_scenes(scenes, frames[some], "png", box, DPI_OF_FRAMES)
         (_gif if kind == ".gif" else _mp4)(frames, aside)

@@ -250,7 +250,7 @@ def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple
     a, b = cells.faces.shared
     p, q = (cells.owner[cells.faces.cell[side]] for side in (a, b))
     broken = p != q
-    broken[broken] = ~held.together(p[broken], q[broken, None])[:, 0]
+    broken[broken] = ~held.connects(p[broken], q[broken, None])[:, 0]
     joined = ~broken & ~((p != q) & loose[p] & loose[q])
     moved = cells.moved(carried, (a[joined], b[joined]))
     if x.shape[1] != 2:
@@ -354,10 +354,10 @@ def gradients(x: Float, u: Float, held: Held) -> Float:
         return F
     distance, near = scipy.spatial.cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
-    together = held.together(np.arange(n), near)
+    connected = held.connects(np.arange(n), near)
     # Particles of two bodies in contact may coincide.
     nearest = np.where(distance > 0.0, distance, np.inf).min(axis=1, keepdims=True)
-    weight = np.where(together, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
+    weight = np.where(connected, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
     xi, eta = ((x[near] - x[:, None])[..., axes] / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None])
     slope = np.zeros((n, dim, len(axes)))
     for _ in range(FITS):

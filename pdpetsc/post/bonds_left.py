@@ -44,8 +44,8 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
         scipy.spatial.cKDTree(cloud.x[around]), widest, output_type="ndarray"
     )
     i, j = zone[found["i"]], around[found["j"]]
-    kept = (i != j) & (found["v"] <= cloud.local_horizon[i] * (1.0 + HORIZON_TOLERANCE))
-    pairs = np.stack([i[kept], j[kept]], axis=1)
+    near = (i != j) & (found["v"] <= cloud.local_horizon[i] * (1.0 + HORIZON_TOLERANCE))
+    pairs = np.stack([i[near], j[near]], axis=1)
     centres, neighbours, phi = _bonds_of(solution, zone)
     key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
     bonded = centres * np.int64(cloud.n_local) + neighbours

@@ -88,8 +88,8 @@ def _of_place(solution: Solution) -> OfPlace:
     given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain).T))
     by_law = any(one is not None and one.law is not None for one in expansion.of.thermals)
     temperature = expansion.temperature if by_law else None
-    kept = None if temperature is None else solution.with_ghosts(temperature)
-    return OfPlace(_shown(solution, own), whole, kept, given)
+    local = None if temperature is None else solution.with_ghosts(temperature)
+    return OfPlace(_shown(solution, own), whole, local, given)
 
 
 def _shown(solution: Solution, own: Float) -> Float:

@@ -402,7 +402,7 @@ class Held:
     broken: GlobalIndex = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     horizon: float = np.inf
 
-    def together(self, home: GlobalIndex, near: GlobalIndex) -> Mask:
+    def connects(self, home: GlobalIndex, near: GlobalIndex) -> Mask:
         """Return True for particles near a home particle (m, k) that are connected with it (m,)."""
         a, b = np.repeat(self.x[home], near.shape[1], axis=0), self.x[near.ravel()]
         held = ~self.cut(a, b).reshape(near.shape)

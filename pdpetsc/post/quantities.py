@@ -419,12 +419,12 @@ class EnergyError(Quantity):
         return inertia_of(solution, self).error
 
 
-def inertia_of(solution: Solution, asked_by: object) -> Inertia:
+def inertia_of(solution: Solution, quantity: object) -> Inertia:
     """Return the inertia of the body (not collective); raise CaseError if it has none."""
     inertia = solution.problem.inertia
     if inertia is None:
         raise CaseError(
-            f"{type(asked_by).__name__} needs a motion with inertia. Use solver=pd.Explicit(...) or pd.Implicit(...)."
+            f"{type(quantity).__name__} needs a motion with inertia. Use solver=pd.Explicit(...) or pd.Implicit(...)."
         )
     return inertia
 

@@ -162,16 +162,16 @@ def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held |
     rank = np.linalg.matrix_rank(x - x.mean(axis=0), tol=FLAT * float(np.ptp(x, axis=0).max()))
     todo, most = np.arange(len(at)), min(FITTED[x.shape[1]], len(x))
     while len(todo):
-        kept = list[GlobalIndex]()
+        rest = list[GlobalIndex]()
         for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
             distance, near = (one.reshape(len(part), -1) for one in tree.query(at[part], k=most))
-            counts = np.ones(near.shape, dtype=bool) if held is None else held.together(homes[part], near)
+            counts = np.ones(near.shape, dtype=bool) if held is None else held.connects(homes[part], near)
             fit, spans = _fits(x[near] - at[part, None], distance, counts, 1 + int(rank))
             found[part[spans]] = np.einsum("me,me...->m...", fit[spans], values[near[spans]])
-            kept.append(part[~spans])
+            rest.append(part[~spans])
         if most == len(x) or 2 * most > MOST:
             break
-        todo, most = np.concatenate(kept), min(2 * most, len(x))
+        todo, most = np.concatenate(rest), min(2 * most, len(x))
     return found
 
 

@@ -404,12 +404,12 @@ def _notes(fit: Fit, ranges: Mapping[str, Range], deviation: Float) -> list[str]
 
 def _between_steps(history: Mapping[str, Any], curve: Curve) -> float:
     """Return the error of linear interpolation between steps: a third of the change without every second step."""
-    kept = {name: np.asarray(history[name], dtype=float) for name in (curve.x_name, curve.y_name)}
-    n = len(kept[curve.x_name])
+    fine = {name: np.asarray(history[name], dtype=float) for name in (curve.x_name, curve.y_name)}
+    n = len(fine[curve.x_name])
     if n < 4:
         return math.inf
-    coarse = {name: values[[*range(0, n - 1, 2), n - 1]] for name, values in kept.items()}
-    return float(np.abs(read_off(kept, curve) - read_off(coarse, curve)).max()) / 3.0
+    coarse = {name: values[[*range(0, n - 1, 2), n - 1]] for name, values in fine.items()}
+    return float(np.abs(read_off(fine, curve) - read_off(coarse, curve)).max()) / 3.0
 
 
 def _refuse_unidentified(J: Float, names: Sequence[str]) -> None:

@@ -96,7 +96,7 @@ def folder_of(study: Path, parameters: Mapping[str, str]) -> Path:
     return study / plain
 
 
-def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
+def claim_folder(folder: Path, writes: tuple[str, ...] = ()) -> None:
     """Create a folder for a study, or check an existing one.
 
     Parameters
@@ -127,14 +127,14 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
         raise CaseError(f"Cannot write to the folder {folder}: {error.strerror or error}.") from None
 
 
-def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
+def write_outcome(outcome: Outcome, identity: Mapping[str, Any]) -> None:
     """Write the outcome of a run to its folder, or raise OutputError."""
     record = {name: getattr(outcome, name) for name in RECORDED}
     record |= {"identity": identity, "files": contents([outcome.folder / name for name in KEPT], outcome.folder)}
     write_whole(outcome.folder / RECORD, json.dumps(record, indent=1) + "\n")
 
 
-def kept(folder: Path, identity: Mapping[str, Any]) -> tuple[Outcome | None, str]:
+def read_outcome(folder: Path, identity: Mapping[str, Any]) -> tuple[Outcome | None, str]:
     """Return the outcome of an earlier run with equal identity, or None and the difference."""
     try:
         record = json.loads((folder / RECORD).read_text())

@@ -25,7 +25,7 @@ from pdpetsc.studies import table
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
 from pdpetsc.studies.refinement import NOISE, Convergence, converging
 from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
-from pdpetsc.studies.run_store import LOG, RECORD, Outcome, folder_of, keep, kept, take
+from pdpetsc.studies.run_store import LOG, RECORD, Outcome, claim_folder, folder_of, read_outcome, write_outcome
 from pdpetsc.studies.sets import grid, text_of
 
 # Time limit for the end of a run left by an earlier study [s].
@@ -112,7 +112,7 @@ class Runs(Declared):
             The folder belongs to another study, has other files with the names of this one, or cannot be written to.
         """
         with holding(alone(), self.folder):
-            take(self.folder, self.writes)
+            claim_folder(self.folder, self.writes)
             yield
 
     def outcomes(
@@ -145,10 +145,10 @@ class Runs(Declared):
         waiting: list[int] = []
         for run in planned:
             if not run.refused:
-                take(self._folder(run))
+                claim_folder(self._folder(run))
         tell.asked(len(planned))
         for number, run in enumerate(planned):
-            earlier, why = (None, "") if run.refused else kept(self._folder(run), run.identity)
+            earlier, why = (None, "") if run.refused else read_outcome(self._folder(run), run.identity)
             if run.refused:
                 ended[number] = self._failed(run, CaseError.exit_status, run.refused)
                 tell.ended(ended[number])
@@ -236,7 +236,7 @@ class Runs(Declared):
         )  # fmt: skip
         # A stopped run has not failed; it is run again.
         if summary.get("error") != "Interrupted":
-            keep(outcome, run.identity)
+            write_outcome(outcome, run.identity)
         return outcome
 
 

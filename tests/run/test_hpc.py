@@ -236,7 +236,7 @@ for name in ("turn", "together"):
     writer = FieldWriter(cloud, order, folder / name, [])
     if name == "together":
         print("parallel", h5py.get_config().mpi, flush=True)
-    writer.together = name == "together" and h5py.get_config().mpi
+    writer.parallel = name == "together" and h5py.get_config().mpi
     for step in range(2):
         x = cloud.x[: cloud.n_owned] + step
         writer.put(step, 0.5, {"y": x, "n": cloud.gid[: cloud.n_owned], "T": x[:, :, None] * x[:, None]})

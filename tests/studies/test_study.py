@@ -24,7 +24,7 @@ from pdpetsc.studies.jobs import Job, launched, too_many
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
 from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
-from pdpetsc.studies.run_store import Outcome, folder_of, kept, take
+from pdpetsc.studies.run_store import Outcome, claim_folder, folder_of, read_outcome
 from pdpetsc.studies.sets import Range, combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
 from tests.command_line.test_tools import ENVIRONMENT, tool
@@ -661,8 +661,8 @@ def test_a_failed_run_has_the_message_and_not_the_lines_of_the_launcher(text, sa
 
 
 def test_a_run_refuses_the_folder_of_a_study(tmp_path):
-    take(tmp_path / "study", ("study.csv",))
-    take(tmp_path / "study" / "n=1")
+    claim_folder(tmp_path / "study", ("study.csv",))
+    claim_folder(tmp_path / "study" / "n=1")
     refused = "is the folder of a study, with one for each run. Choose another folder."
     with pytest.raises(pd.CaseError, match=refused):
         set_aside(alone(), tmp_path / "study")
@@ -860,11 +860,11 @@ def test_a_run_whose_input_files_have_changed_is_run_again(ranks, tmp_path, monk
         return CaseFile(case, (), ranks).plan([{"n": "4"}])[0].identity
 
     assert set(question()["files"]) == {"case.py", "beside.py", "cloud.txt"}
-    assert kept(first.folder, question())[0] is not None
+    assert read_outcome(first.folder, question())[0] is not None
     for name, other in (("beside.py", "FACTOR = 5.0\n"), ("cloud.txt", CLOUD.replace("1.0", "2.0"))):
         was = (tmp_path / name).read_text()
         (tmp_path / name).write_text(other)
-        assert kept(first.folder, question()) == (None, f"{name} changed")
+        assert read_outcome(first.folder, question()) == (None, f"{name} changed")
         (tmp_path / name).write_text(was)
     if ranks == 1:
         return

@@ -50,11 +50,8 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
     key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
     bonded = centres * np.int64(cloud.n_local) + neighbours
     left, same = np.zeros(len(key)), np.zeros(len(key), dtype=bool)
-    if len(bonded):
-        order = np.argsort(bonded)
-        place = np.minimum(np.searchsorted(bonded[order], key), len(bonded) - 1)
-        same = bonded[order][place] == key
-        left[same] = phi[order][place[same]]
+    _, pair, bond = np.intersect1d(key, bonded, assume_unique=True, return_indices=True)
+    left[pair], same[pair] = phi[bond], True
     return pairs, left, same
 
 

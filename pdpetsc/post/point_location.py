@@ -172,10 +172,6 @@ class Discs:
         )
         return np.where(held, home, -1)
 
-    def nearest(self, points: Float) -> GlobalIndex:
-        """Return the nearest particle (m,), inside or not."""
-        return self._nearest.query(points, 1)[1][:, 0]
-
     @cached_property
     def _nearest(self) -> _Nearest:
         return _Nearest(self.x, self.h)
@@ -206,24 +202,14 @@ class Surface(Protocol):
 
 
 @dataclass(frozen=True)
-class Enclosed:
+class Enclosed(Discs):
     """A body with a known surface: a point is inside if the surface encloses it."""
 
-    discs: Discs
     surface: Surface
-
-    @property
-    def sides(self) -> Float:
-        """Return equal lengths in all directions."""
-        return self.discs.sides
-
-    def size(self, particles: GlobalIndex) -> Float:
-        """Return the sides of cubes with their volumes."""
-        return self.discs.size(particles)
 
     def homes(self, points: Float) -> GlobalIndex:
         """Return the nearest particle, by distance over size of the particle."""
-        near = self.discs.nearest(points)
+        near = self._nearest.query(points, 1)[1][:, 0]
         held = np.zeros(len(points), dtype=bool)
         for part in np.array_split(np.arange(len(points)), 1 + len(points) // 20_000):
             held[part] = self.surface.holds(points[part])
@@ -376,9 +362,9 @@ def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None =
         # A part of the surface is not sufficient to locate points.
         return discs
     if len(facets.triangles):
-        return Enclosed(discs, Triangles(facets.triangles))
+        return Enclosed(discs.x, discs.h, Triangles(facets.triangles))
     reach = {1: 0.0 * size, 2: 0.5 * size / thickness, 3: np.sqrt(size / np.pi)}[dim]
-    return Enclosed(discs, Flat(places, area / size[:, None], reach))
+    return Enclosed(discs.x, discs.h, Flat(places, area / size[:, None], reach))
 
 
 @dataclass(frozen=True)

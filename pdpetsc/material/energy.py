@@ -309,10 +309,9 @@ class _Reader:
             raise self.refused(f"has {shown(value)} where a number belongs")
         if isinstance(value, int) and value.bit_length() > MOST_BITS:
             raise self.refused("has a number with too many digits")
-        number = sympy.Rational(repr(value)) if value == value and abs(value) != float("inf") else None
-        if number is None:
+        if not math.isfinite(value):
             raise self.refused("has a number that is not finite")
-        return number
+        return sympy.Rational(repr(value))
 
     def _named(self, name: str) -> Any:
         self.unused.discard(name)

@@ -21,12 +21,12 @@ from typing import Any
 
 from pdpetsc.command_line.arguments import Arguments
 from pdpetsc.declared import refuse_unknown
-from pdpetsc.errors import CaseError, PdpetscError
+from pdpetsc.errors import CaseError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import replacing
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import MARK, draw_field, draw_film, film_format
-from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.output.reading import StoredFields, read_history, read_summary, refusing_damage
 
 COMPONENTS = {"displacement": "x", "stress": "xx", "first_piola_stress": "xx", "deformation_gradient": "xx"}
 
@@ -50,15 +50,8 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False, cut: str
     CaseError
         The folder holds no run, or a word is wrong.
     """
-    try:
+    with refusing_damage(f"{folder} cannot be drawn, because a file is damaged, not of a run, or cannot be written"):
         return _drawn(folder, given, animate, cut)
-    except PdpetscError:
-        raise
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise CaseError(
-            f"{folder} cannot be drawn, because a file is damaged, not of a run, or cannot be written: {what}."
-        ) from error
 
 
 def _drawn(folder: Path, given: Mapping[str, str], animate: bool, cut: str | None) -> list[Path]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.declared import fits, shown, words_of
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.files import open_hdf5
 
 _TABLE: TypeAlias = Mapping[str, Any]
@@ -29,6 +29,18 @@ _OF_SUMMARY: dict[str, Any] = {
     "fracture_energy": _TABLE, "case": _TABLE, "restart": _TABLE, "unused_options": Sequence[str],
     "warnings": Sequence[str], "picture": _TABLE,
 }  # fmt: skip
+
+
+@contextlib.contextmanager
+def refusing_damage(sentence: str) -> Iterator[None]:
+    """Turn errors of the body on damaged files into a CaseError that begins with a sentence."""
+    try:
+        yield
+    except PdpetscError:
+        raise
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise CaseError(f"{sentence}: {what}.") from error
 
 
 def read_summary(folder: Path) -> dict[str, Any]:

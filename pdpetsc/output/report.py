@@ -11,12 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pdpetsc.errors import CaseError, PdpetscError
+from pdpetsc.errors import CaseError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import write_whole
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import picture_of_run
-from pdpetsc.output.reading import read_history, read_summary
+from pdpetsc.output.reading import read_history, read_summary, refusing_damage
 from pdpetsc.output.tables import table_html, text_of
 
 FILE = "report.html"
@@ -63,13 +63,8 @@ def write_report(folder: Path, field: str | None = None, component: str = "", sc
         The report cannot be written.
     """
     summary = read_summary(folder)
-    try:
+    with refusing_damage(f"{folder} holds files that are damaged or not of a run"):
         text = _page(folder, summary, field, component, scale)
-    except PdpetscError:
-        raise
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise CaseError(f"{folder} holds files that are damaged or not of a run: {what}.") from error
     path = folder / FILE
     write_whole(path, text, wait=False)
     return path

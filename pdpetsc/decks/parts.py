@@ -100,13 +100,13 @@ def cracks(section: Section, x: Float) -> list[str]:
             return np.array(values[:dim])
 
         if one.flag("Allow Contact"):
-            raise CaseError(f"{one.entries['Allow Contact'].place} of the deck has no counterpart here.")
+            raise one.entries["Allow Contact"].wrong("has no counterpart here.")
         if kind == "Rectangular_Plane":
             normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
             along, side = one.number(named("Bottom Length")), one.number(named("Side Length"))
             sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
             if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
-                raise CaseError(f"{one.place} of the deck is no rectangle.")
+                raise one.wrong("is no rectangle.")
             bottom, normal = bottom / sizes[0], normal / sizes[1]
             _refuse_on_plane(one, x, corner, normal)
             if dim == 2:
@@ -123,11 +123,11 @@ def cracks(section: Section, x: Float) -> list[str]:
         elif kind == "Disk" and dim == 3:
             centre, normal, radius = vector("Center"), vector("Normal"), one.number("Radius")
             if not (np.linalg.norm(normal) > 0.0 and radius > 0.0):
-                raise CaseError(f"{one.place} of the deck is no disc.")
+                raise one.wrong("is no disc.")
             _refuse_on_plane(one, x, centre, normal / np.linalg.norm(normal))
             found.append(f"pd.Disc({_point(centre)}, {_point(normal)}, {radius * (1.0 - _EDGE)!r})")
         else:
-            raise CaseError(f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in {dim}D.")
+            raise one.entries["Type"].wrong(f"is {kind!r}, which has no counterpart in {dim}D.")
     return found
 
 
@@ -238,10 +238,7 @@ def damage_by_block(
         section = models.section(name)
         model = section.text("Damage Model")
         if model != "Critical Stretch" or "scheme" in script.arguments:
-            raise CaseError(
-                f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of "
-                f"{materials}."
-            )
+            raise section.entries["Damage Model"].wrong(f"is {model!r}; known is Critical Stretch, of {materials}.")
         code = f"pd.Brittle(pd.ConstantCritical({critical(name, section)!r}))"
         script.notes.differs(
             f"Bonds break one after another with equilibrium between them; {script.program} breaks once in a step all "
@@ -287,9 +284,7 @@ def elastic_constants(section: Section) -> tuple[float, float]:
     names = ("Bulk Modulus", "Shear Modulus", "Young's Modulus", "Poisson's Ratio")
     given = {name: section.number(name) for name in names if name in section.entries}
     if len(given) != 2:
-        raise CaseError(
-            f"{section.place} of the deck needs two of {', '.join(names)}, and has {', '.join(given) or 'none'}."
-        )
+        raise section.wrong(f"needs two of {', '.join(names)}, and has {', '.join(given) or 'none'}.")
     K, G, E, nu = (given.get(name) for name in names)
     try:
         if K is not None and G is not None:
@@ -309,16 +304,15 @@ def elastic_constants(section: Section) -> tuple[float, float]:
     except ZeroDivisionError:
         found = math.nan, math.nan
     if not (found[0] > 0.0 and -1.0 < found[1] < 0.5):
-        raise CaseError(f"{section.place} of the deck has E = {found[0]:g} and nu = {found[1]:g}, as no material has.")
+        raise section.wrong(f"has E = {found[0]:g} and nu = {found[1]:g}, as no material has.")
     return found
 
 
 def refuse_steps(solver: Section, count: int, first: float, last: float) -> None:
     """Raise CaseError unless a solver has load steps, not too many, between ascending times."""
     if not 1 <= count <= MOST_STEPS or not last > first:
-        raise CaseError(
-            f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}; it needs 1 to {MOST_STEPS} of "
-            f"them, and times that ascend."
+        raise solver.wrong(
+            f"has {count} steps from {first:g} to {last:g}; it needs 1 to {MOST_STEPS} of them, and times that ascend."
         )
 
 
@@ -395,7 +389,7 @@ def horizon_of(block: Section) -> float:
     """Return the horizon of a block [length]; raises CaseError unless it is positive."""
     value = block.number("Horizon")
     if not value > 0.0:
-        raise CaseError(f"{block.entries['Horizon'].place} of the deck is {value:g}; a horizon is positive.")
+        raise block.entries["Horizon"].wrong(f"is {value:g}; a horizon is positive.")
     return value
 
 

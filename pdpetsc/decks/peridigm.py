@@ -57,7 +57,7 @@ def translate(deck: Deck) -> Script:
     parts.note_ties(script)
     parts.put_cracks(script, root.section("Discretization"))
     if "Contact" in root.sections:
-        raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
+        raise root.sections["Contact"].wrong("is contact, which this program does not have.")
     _conditions(script, conditions, deck)
     if not script.given:
         raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
@@ -77,8 +77,10 @@ def _body(section: Section, conditions: Section, deck: Deck) -> Body:
     beside = deck.path.parent
     kind = section.text("Type")
     if section.flag("Compute Element-Horizon Intersections"):
-        raise CaseError(f"{section.place} of the deck asks for intersections of elements with horizons: volumes of "
-                        f"neighbours that are cut by the horizon have no counterpart here.")  # fmt: skip
+        raise section.wrong(
+            "asks for intersections of elements with horizons: volumes of neighbours that are cut by the horizon have "
+            "no counterpart here."
+        )
     sets = _number_sets(conditions, beside)
     section.use("Element-Horizon Intersection Recursion Level", "Element-Horizon Intersection Number Of Samples")
     if kind == "PdQuickGrid":
@@ -92,9 +94,7 @@ def _body(section: Section, conditions: Section, deck: Deck) -> Body:
         return parts.exodus_body(path, deck.folder, "nodelist", "block")
     if kind == "Text File":
         return parts.text_body(path, deck.folder, sets, dim=3)
-    raise CaseError(
-        f"{section.entries['Type'].place} of the deck is {kind!r}; known are Exodus, Text File, PdQuickGrid."
-    )
+    raise section.entries["Type"].wrong(f"is {kind!r}; known are Exodus, Text File, PdQuickGrid.")
 
 
 def _number_sets(conditions: Section, beside: Path) -> dict[str, Path | list[int]]:
@@ -134,7 +134,7 @@ def _blocks(script: Script, root: Section) -> None:
             continue
         where = functools.reduce(operator.or_, wheres)
         if not (where.mask <= left).all():
-            raise CaseError(f"{group.place} of the deck has blocks that another group has too.")
+            raise group.wrong("has blocks that another group has too.")
         left &= ~where.mask
         horizon = parts.horizon_of(group)
         horizons.append(horizon)
@@ -208,7 +208,7 @@ def _material(section: Section, script: Script, widened: float) -> parts.Law:
     for name in ("Apply Shear Correction Factor", "Plane Stress", "Plane Strain", "Use Improved Quadrature",
                  "Use Partial Volume", "Use Analytic Weighted Volume", "Enable Flaw"):  # fmt: skip
         if section.flag(name):
-            raise CaseError(f"{section.entries[name].place} of the deck has no counterpart here.")
+            raise section.entries[name].wrong("has no counterpart here.")
     of_gradients = "Correspondence" in model
     control = None
     if of_gradients:
@@ -223,16 +223,16 @@ def _material(section: Section, script: Script, widened: float) -> parts.Law:
         script.notes.leave_out(section, "Hourglass Coefficient")
     found = _law(model, section, script, widened)
     if found is None:
-        raise CaseError(
-            f"{section.entries['Material Model'].place} of the deck is {model!r}, which has no counterpart here; known "
-            f"are Elastic, Elastic Bond Based, Linear LPS Partial Volume, Elastic Partial Volume, Elastic "
-            f"Correspondence, Elastic Plastic Correspondence and Isotropic Hardening Correspondence."
+        raise section.entries["Material Model"].wrong(
+            f"is {model!r}, which has no counterpart here; known are Elastic, Elastic Bond Based, Linear LPS Partial "
+            f"Volume, Elastic Partial Volume, Elastic Correspondence, Elastic Plastic Correspondence and Isotropic "
+            f"Hardening Correspondence."
         )
     if _EXPANSION in section.entries:
         if model not in _EXPANDING:
-            raise CaseError(
-                f"{section.entries[_EXPANSION].place} of the deck has no effect in Peridigm, whose {model} does not "
-                f"expand; leave it out with --ignore {section.entries[_EXPANSION].path!r}."
+            raise section.entries[_EXPANSION].wrong(
+                f"has no effect in Peridigm, whose {model} does not expand; leave it out with --ignore "
+                f"{section.entries[_EXPANSION].path!r}."
             )
         expansion = section.number(_EXPANSION)
         # Temperatures are relative to the initial ones, as in Peridigm.
@@ -280,9 +280,9 @@ def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
     for material in materials:
         other = material.number(_EXPANSION, 0.0)
         if other != own:
-            raise CaseError(
-                f"{damage.place} of the deck has {own:g} for the {_EXPANSION} where bonds break, and "
-                f"{material.place} expands by {other:g}; here both are one: make them the same."
+            raise damage.wrong(
+                f"has {own:g} for the {_EXPANSION} where bonds break, and {material.place} expands by {other:g}; here "
+                f"both are one: make them the same."
             )
 
 
@@ -315,13 +315,12 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         known = {"Prescribed Displacement": "Displacement", "Body Force": "BodyForce",
                  "Prescribed Temperature": "Temperature"}  # fmt: skip
         if kind not in known:
-            raise CaseError(
-                f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in a static case; "
-                f"known are {', '.join(known)}."
+            raise one.entries["Type"].wrong(
+                f"is {kind!r}, which has no counterpart in a static case; known are {', '.join(known)}."
             )
         axis = "" if kind == "Prescribed Temperature" else one.text("Coordinate").lower()
         if axis and axis not in ("x", "y", "z"):
-            raise CaseError(f"{one.entries['Coordinate'].place} of the deck is {axis!r}, not x, y or z.")
+            raise one.entries["Coordinate"].wrong(f"is {axis!r}, not x, y or z.")
         one.use("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
@@ -330,9 +329,9 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         since = {"Prescribed Displacement": script.times.first, "Prescribed Temperature": 0.0}.get(kind)
         given = Given(known[kind], axis, where, value, one.place, since)
         if kind == "Prescribed Temperature" and "t" not in value.names:
-            raise CaseError(
-                f"{one.place} of the deck is a temperature that does not change: Peridigm counts changes from "
-                f"time 0, so it has no effect; leave it out with --ignore {one.path!r}."
+            raise one.wrong(
+                f"is a temperature that does not change: Peridigm counts changes from time 0, so it has no effect; "
+                f"leave it out with --ignore {one.path!r}."
             )
         script.given.append(given)
 
@@ -348,9 +347,7 @@ def _times(solvers: list[Section], deck: Deck) -> Times:
         deck.notes.leave_out(solver, *_OF_SOLVERS)
         own = _times_of(solver, deck)
         if values and abs(own[0] - values[-1]) > 1e-12 * max(abs(own[0]), abs(values[-1])):
-            raise CaseError(
-                f"{solver.place} of the deck begins at {own[0]:g}, and the solver before ends at {values[-1]:g}."
-            )
+            raise solver.wrong(f"begins at {own[0]:g}, and the solver before ends at {values[-1]:g}.")
         values += own[1:] if values else own
     if len(values) > MOST_STEPS + 1 or any(b <= a for a, b in itertools.pairwise(values)):
         raise CaseError(f"The times of the deck do not ascend, or there are more than {MOST_STEPS} load steps.")
@@ -365,22 +362,23 @@ def _times_of(solver: Section, deck: Deck) -> list[float]:
         return _times_in_time(solver, solver.sections[in_time[0]], deck)
     if len(kinds) != 1 or in_time:
         have = ", ".join(solver.sections) or "none"
-        raise CaseError(f"{solver.place} of the deck needs one solver, QuasiStatic or NOXQuasiStatic; it has {have}.")
+        raise solver.wrong(f"needs one solver, QuasiStatic or NOXQuasiStatic; it has {have}.")
     section = solver.sections[kinds[0]]
     adaptive = section.sections.get("Adaptive Load-Stepping")
     if adaptive is not None and "Switch to Verlet" in adaptive:
-        raise CaseError(
-            f"{adaptive.place} of the deck goes on in time with 'Switch to Verlet' where a step does not converge; "
-            f"here the answer is static: leave it out with --ignore 'Switch to Verlet'."
+        raise adaptive.wrong(
+            "goes on in time with 'Switch to Verlet' where a step does not converge; here the answer is static: leave "
+            "it out with --ignore 'Switch to Verlet'."
         )
     notes.leave_out(section, *_TUNING)
     if "Time Steps" in section.entries:
-        times = [number for number in map(real_number, parts.words(section.text("Time Steps"))) if number is not None]
-        if len(times) < len(parts.words(section.text("Time Steps"))) or not all(map(math.isfinite, times)):
-            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are not times.")
+        words = parts.words(section.text("Time Steps"))
+        times = [number for number in map(real_number, words) if number is not None and math.isfinite(number)]
+        if len(times) < len(words):
+            raise section.entries["Time Steps"].wrong("are not times.")
         notes.leave_out(solver, "Initial Time", "Final Time")
         if len(times) < 2:
-            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are less than two times.")
+            raise section.entries["Time Steps"].wrong("are less than two times.")
         return times
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
     count = section.whole("Number of Load Steps")
@@ -392,5 +390,5 @@ def _times_in_time(solver: Section, section: Section, deck: Deck) -> list[float]
     deck.leave_out_inertia(section)
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time", 1.0)
     if not last > first:
-        raise CaseError(f"{solver.place} of the deck goes from {first:g} to {last:g}.")
+        raise solver.wrong(f"goes from {first:g} to {last:g}.")
     return Times.even(first, last, STATIC_STEPS).values

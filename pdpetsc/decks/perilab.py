@@ -50,12 +50,12 @@ def translate(deck: Deck) -> Script:
     on = {name: solver.flag(name, name == "Material Models") for name in _SWITCHES}
     for name in _OTHER_SWITCHES:
         if solver.flag(name):
-            raise CaseError(f"{solver.entries[name].place} of the deck {_NO_PART}.")
+            raise solver.entries[name].wrong(f"{_NO_PART}.")
     if not on["Material Models"]:
-        raise CaseError(f"{solver.place} of the deck has no material models, and there is nothing to solve.")
+        raise solver.wrong("has no material models, and there is nothing to solve.")
     for name in ("FEM", "Contact", "Surface Correction", "Multistep Solver", "Physics"):
         if name in root.sections:
-            raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
+            raise root.sections[name].wrong(f"{_NO_PART}.")
     warm = _blocks(script, root, on)
     parts.note_ties(script)
     parts.put_cracks(script, root.section("Discretization"))
@@ -86,9 +86,9 @@ def _body(section: Section, deck: Deck) -> Body:
             if kind == "Exodus"
             else ""
         )
-        raise CaseError(
-            f"{section.entries['Type'].place} of the deck is {kind!r}, which {_NO_PART}: {more}make it a Text File of "
-            f"the columns x y z block_id volume, with node sets by numbers."
+        raise section.entries["Type"].wrong(
+            f"is {kind!r}, which {_NO_PART}: {more}make it a Text File of the columns x y z block_id volume, with node "
+            f"sets by numbers."
         )
     path = beside / section.text("Input Mesh File")
     section.use("Distribution Type")
@@ -155,7 +155,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
     before = models.sections.get("Pre Calculation Global")
     for name, value in ({} if before is None else before.entries).items():
         if name == "Bond Associated Deformation Gradient" and value.text.lower() == "true":
-            raise CaseError(f"{value.place} of the deck {_NO_PART}.")
+            raise value.wrong(f"{_NO_PART}.")
     script.notes.leave_out(models, "Pre Calculation Global")
     materials = models.section("Material Models")
     thermals, damages = models.sections.get("Thermal Models"), models.sections.get("Damage Models")
@@ -179,7 +179,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
         thermal = block.text("Thermal Model", "")
         if thermal and on["Thermal Models"]:
             if thermals is None:
-                raise CaseError(f"{block.place} of the deck names the thermal model {thermal!r}, and it has none.")
+                raise block.wrong(f"names the thermal model {thermal!r}, and it has none.")
             code = _thermal(thermals.section(thermal), law, script)
             if thermals.section(thermal).number("Reference Temperature", 0.0) != 0.0:
                 warm |= where.mask
@@ -208,9 +208,9 @@ def _refuse_off(block: Section, solver: Section, on: dict[str, bool], script: Sc
         if name not in block.entries or on[switch]:
             continue
         if switch not in solver.entries:
-            raise CaseError(
-                f"{block.entries[name].place} of the deck names a model, and in PeriLab these are off where the solver "
-                f"does not say: put '{switch}: true' into {solver.path}, or leave it out with --ignore '{name}'."
+            raise block.entries[name].wrong(
+                f"names a model, and in PeriLab these are off where the solver does not say: put '{switch}: true' into "
+                f"{solver.path}, or leave it out with --ignore '{name}'."
             )
         script.notes.leave_out(block, name)
 
@@ -220,20 +220,20 @@ def _plane(section: Section, script: Script) -> str:
     symmetry = section.text("Symmetry", "isotropic").lower()
     for word in ("anisotropic", "orthotropic", "transverse"):
         if word in symmetry:
-            raise CaseError(f"{section.entries['Symmetry'].place} of the deck is {symmetry!r}, which {_NO_PART}.")
+            raise section.entries["Symmetry"].wrong(f"is {symmetry!r}, which {_NO_PART}.")
     if script.body.dim == 3:
         return ""
     for word in ("plane strain", "plane stress"):
         if word in symmetry:
             return f', plane="{word.split()[1]}"'
-    raise CaseError(f"{section.place} of the deck has a plane body, and neither plane stress nor plane strain.")
+    raise section.wrong("has a plane body, and neither plane stress nor plane strain.")
 
 
 def _material(section: Section, script: Script, solver: Section) -> parts.Law:
     model = section.text("Material Model")
     plane = _plane(section, script)
     if section.flag("Bond Associated"):
-        raise CaseError(f"{section.entries['Bond Associated'].place} of the deck {_NO_PART}.")
+        raise section.entries["Bond Associated"].wrong(f"{_NO_PART}.")
     if model == "Bond-based Elastic":
         script.notes.leave_out(section, "Zero Energy Control")
         E = _bond_based_modulus(section, script)
@@ -243,15 +243,15 @@ def _material(section: Section, script: Script, solver: Section) -> parts.Law:
         E, nu = parts.elastic_constants(section)
         return parts.Law(f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', "bonds")
     if model != "Correspondence Elastic":
-        raise CaseError(
-            f"{section.entries['Material Model'].place} of the deck is {model!r}, which {_NO_PART}; known are "
-            f"Correspondence Elastic, PD Solid Elastic and Bond-based Elastic."
+        raise section.entries["Material Model"].wrong(
+            f"is {model!r}, which {_NO_PART}; known are Correspondence Elastic, PD Solid Elastic and Bond-based "
+            f"Elastic."
         )
     E, nu = parts.elastic_constants(section)
     control = None
     if "Zero Energy Control" in section.entries:
         if section.text("Zero Energy Control") != "Global":
-            raise CaseError(f"{section.entries['Zero Energy Control'].place} of the deck {_NO_PART}; known is Global.")
+            raise section.entries["Zero Energy Control"].wrong(f"{_NO_PART}; known is Global.")
         control = 'pd.Wan(contraction="stress")'
     if script.body.dim == 3:
         script.notes.differs(
@@ -288,18 +288,15 @@ def _bond_based_modulus(section: Section, script: Script) -> float:
                     f"{section.place} has {len(given)} moduli; as in PeriLab the {name.lower()} counts."
                 )
             if not E > 0.0:
-                raise CaseError(f"{section.entries[name].place} of the deck is no modulus.")
+                raise section.entries[name].wrong("is no modulus.")
             return E
-    raise CaseError(f"{section.place} of the deck has no modulus.")
+    raise section.wrong("has no modulus.")
 
 
 def _thermal(section: Section, law: parts.Law, script: Script) -> str:
     model = section.text("Thermal Model")
     if model != "Thermal Expansion":
-        raise CaseError(
-            f"{section.entries['Thermal Model'].place} of the deck is {model!r}, which {_NO_PART}; known is Thermal "
-            f"Expansion."
-        )
+        raise section.entries["Thermal Model"].wrong(f"is {model!r}, which {_NO_PART}; known is Thermal Expansion.")
     expansion = section.number("Thermal Expansion Coefficient")
     reference = section.number("Reference Temperature", 0.0)
     # Entries of other thermal models, not used by this one.
@@ -350,13 +347,13 @@ def _conditions(script: Script, section: Section) -> None:
         variable, kind = one.text("Variable"), one.text("Type", "Dirichlet")
         found = known.get((variable, kind))
         if found is None or found == "Forces":
-            raise CaseError(
-                f"{one.place} of the deck is {kind!r} of {variable!r}, which {_NO_PART}; known are Dirichlet of "
-                f"Displacements, Temperature and Force Densities."
+            raise one.wrong(
+                f"is {kind!r} of {variable!r}, which {_NO_PART}; known are Dirichlet of Displacements, Temperature and "
+                f"Force Densities."
             )
         axis = "" if found == "Temperature" else one.text("Coordinate")
         if axis and axis not in "xyz"[: script.body.dim]:
-            raise CaseError(f"{one.place} of the deck has coordinate {axis!r} of a {script.body.dim}D body.")
+            raise one.wrong(f"has coordinate {axis!r} of a {script.body.dim}D body.")
         one.use("Coordinate")
         named = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
         where = functools.reduce(operator.or_, named)
@@ -387,7 +384,7 @@ def _times(solver: Section, deck: Deck) -> Times:
     kinds = [name for name in solver.sections if name in (_LINEAR, "Static", *_IN_TIME)]
     if len(kinds) != 1:
         have = ", ".join((*solver.sections,)) or "none"
-        raise CaseError(f"{solver.place} of the deck needs one solver, {_LINEAR} or Static; it has {have}.")
+        raise solver.wrong(f"needs one solver, {_LINEAR} or Static; it has {have}.")
     section = solver.sections[kinds[0]]
     count = solver.whole("Number of Steps", 1)
     if kinds[0] in _IN_TIME:

@@ -44,7 +44,7 @@ def grid_body(section: Section, sets: dict[str, Path | list[int]]) -> Body:
     length = [given.number(f"{axis} Length") for axis in "XYZ"]
     count = [given.whole(f"Number Points {axis}") for axis in "XYZ"]
     if min(length) <= 0.0 or min(count) < 1 or np.prod(np.array(count, dtype=float)) > _MOST:
-        raise CaseError(f"{given.place} of the deck has no cells, or more than ten million.")
+        raise given.wrong("has no cells, or more than ten million.")
     axes = [o + (np.arange(n) + 0.5) * size / n for o, size, n in zip(origin, length, count, strict=True)]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     places = np.column_stack([x.ravel(), y.ravel(), z.ravel()])

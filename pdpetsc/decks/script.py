@@ -220,9 +220,9 @@ class Deck:
             A static solution was not requested.
         """
         if not self.static:
-            raise CaseError(
-                f"{solver.place} of the deck is a solver in time, and this program finds static equilibrium; give "
-                f"--static to solve the deck statically up to its final time."
+            raise solver.wrong(
+                "is a solver in time, and this program finds static equilibrium; give --static to solve the deck "
+                "statically up to its final time."
             )
         solver.use_all()
         self.notes.differs(

@@ -18,23 +18,8 @@ _FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no"
 
 
 @dataclass
-class Entry:
-    """One value of a deck as text, with its path and line."""
-
-    path: str
-    line: int
-    text: str
-    used: bool = False
-
-    @property
-    def place(self) -> str:
-        """Return its place in the deck, for messages."""
-        return f"{self.path} (line {self.line})"
-
-
-@dataclass
-class Section:
-    """A named list of entries and sections.
+class Part:
+    """A part of a deck.
 
     Attributes
     ----------
@@ -42,19 +27,41 @@ class Section:
         Names of the enclosing sections and its own, with slashes between them.
     line : int
         Its first line, from 1 on.
-    entries, sections : dict
-        Its contents by name, in the order of the deck.
     """
 
     path: str
     line: int
-    entries: dict[str, Entry] = field(default_factory=dict)
-    sections: dict[str, Section] = field(default_factory=dict)
 
     @property
     def place(self) -> str:
         """Return its place in the deck, for messages."""
         return f"{self.path or 'the deck'} (line {self.line})"
+
+    def wrong(self, why: str) -> CaseError:
+        """Return the error for this part of the deck, as the end of a sentence."""
+        return CaseError(f"{self.place} of the deck {why}")
+
+
+@dataclass
+class Entry(Part):
+    """One value of a deck as text."""
+
+    text: str
+    used: bool = False
+
+
+@dataclass
+class Section(Part):
+    """A named list of entries and sections.
+
+    Attributes
+    ----------
+    entries, sections : dict
+        Its contents by name, in the order of the deck.
+    """
+
+    entries: dict[str, Entry] = field(default_factory=dict)
+    sections: dict[str, Section] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -67,14 +74,14 @@ class Section:
     def section(self, name: str) -> Section:
         """Return a section; raise CaseError if it is missing."""
         if name not in self.sections:
-            raise CaseError(f"{self.place} of the deck has no section {name!r}.")
+            raise self.wrong(f"has no section {name!r}.")
         return self.sections[name]
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return an entry as text; raise CaseError if there is neither entry nor default."""
         if name not in self.entries:
             if default is None:
-                raise CaseError(f"{self.place} of the deck has no entry {name!r}.")
+                raise self.wrong(f"has no entry {name!r}.")
             return default
         found = self.entries[name]
         found.used = True
@@ -91,14 +98,14 @@ class Section:
         text = self.text(name)
         value = real_number(text)
         if value is None or not math.isfinite(value):
-            raise CaseError(f"{self.entries[name].place} of the deck is {text!r}, not a number.")
+            raise self.entries[name].wrong(f"is {text!r}, not a number.")
         return value
 
     def whole(self, name: str, default: int | None = None) -> int:
         """Return an entry as an integer, or raise CaseError."""
         value = self.number(name, None if default is None else float(default))
         if value != round(value):
-            raise CaseError(f"{self.entries[name].place} of the deck is {value:g}, not a whole number.")
+            raise self.entries[name].wrong(f"is {value:g}, not a whole number.")
         return int(value)
 
     def flag(self, name: str, default: bool = False) -> bool:
@@ -107,7 +114,7 @@ class Section:
             return default
         text = self.text(name)
         if text.lower() not in _FLAGS:
-            raise CaseError(f"{self.entries[name].place} of the deck is {text!r}, neither true nor false.")
+            raise self.entries[name].wrong(f"is {text!r}, neither true nor false.")
         return _FLAGS[text.lower()]
 
     def leaves(self) -> Iterator[Entry]:

@@ -13,8 +13,8 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import LARGEST_MODULUS, LEAST_MODULUS, HistoryKernels, Material, isotropic_moduli
-from pdpetsc.material.hyperelastic import isotropic_mean
+from pdpetsc.material.base import LARGEST_MODULUS, LEAST_MODULUS, HistoryKernels, Material
+from pdpetsc.material.directed import DirectedMaterial
 from pdpetsc.material.linear_elastic import linear_loops
 from pdpetsc.material.symmetric import moduli_of_body, stiffness, stiffness_of_body
 
@@ -26,7 +26,7 @@ NEARLY = 1e-6
 SINGULAR = 1e-12
 
 
-class AnisotropicLinear(Material):
+class AnisotropicLinear(DirectedMaterial):
     """A law ``P = C : eps, eps = sym(F - I)`` with anisotropic stiffness."""
 
     linear: ClassVar[bool] = True
@@ -83,7 +83,6 @@ class AnisotropicLinear(Material):
         return R
 
     def _solid(self) -> Float:
-        """Return the stiffness of the solid in the axes of the material (3, 3, 3, 3)."""
         C = self.in_own_axes()
         return stiffness(0.5 * (C + C.T))
 
@@ -159,20 +158,6 @@ class AnisotropicLinear(Material):
         if callable(self.orientation):
             return self._mean(dim)
         return moduli_of_body(self._solids(np.zeros((1, dim)))[0], dim, self.plane)
-
-    def _mean(self, dim: int) -> Float:
-        mean = isotropic_moduli(*isotropic_mean(self._solid()), 3)
-        return moduli_of_body(mean, dim, self.plane)
-
-    def bulk_like_modulus(self, dim: int) -> float:
-        """Return the value of the isotropic mean [stress], which does not depend on the orientation."""
-        return float(np.einsum("iikk", self._mean(dim))) / dim**2
-
-    def young_modulus(self) -> float:
-        raise CaseError(
-            f"{type(self).__name__} has another Young's modulus in every direction; damage takes materials "
-            f"that are isotropic at small strain."
-        )
 
 
 def _not_turned(x: Float) -> Float:

@@ -12,7 +12,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -425,18 +425,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     text.each("imkn", *value, "A[p, i, m, k, n] = value")
     text.end()
 
-    text.start("energy", "psi", ["G", "C"], vectors)
-    at_point(False, False)
-    text.values({"psi[p]": energy.expression})
-    text.end()
-    text.start("across", "result", ["G", "C"], vectors)
-    at_point(False, False)
-    text.values({"result[row]": {"solid": sympy.Integer(1), "strain": scalars.r, "stress": _b, "bar": _b**2}[kind]})
-    text.end()
-    if energy.bounds:
-        text.start("inside", "result", ["G", "C"], vectors)
-        at_point(False, False)
-        _nearest_bound(text, {})
+    _add_scalar_loops(text, ["G", "C"], vectors, lambda: at_point(False, False), energy.expression, scalars.r, {})
     return text.whole()
 
 
@@ -491,23 +480,42 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
     )  # fmt: skip
     text.end()
 
-    text.start("energy", "psi", ["C", "N", "n"], ["stretch"])
-    at_point()
-    text.values({"psi[p]": psi})
-    text.end()
-    text.start("across", "result", ["C", "N", "n"], ["stretch"])
-    at_point()
-    text.values({"result[row]": {"solid": sympy.Integer(1), "strain": r, "stress": _b, "bar": _b**2}[kind]})
-    text.end()
-    if energy.bounds:
-        text.start("inside", "result", ["C", "N", "n"], ["stretch"])
-        at_point()
-        _nearest_bound(text, hidden)
+    _add_scalar_loops(text, ["C", "N", "n"], ["stretch"], at_point, psi, r, hidden)
     return text.whole()
 
 
-def _nearest_bound(text: _Text, hidden: dict[Any, Any]) -> None:
-    """Write the part of ``inside`` for a point, and close it."""
+def _add_scalar_loops(
+    text: _Text, arrays: Sequence[str], vectors: Sequence[str], at_point: Callable[[], None], psi: Any, r: Any,
+    hidden: dict[Any, Any],
+) -> None:  # fmt: skip
+    """Add the loops for the energy, for the hidden stretch or stress, and for the distance from the bounds.
+
+    Parameters
+    ----------
+    text : _Text
+        The module.
+    arrays, vectors : sequence of str
+        Arrays that ``at_point`` fills.
+    at_point : callable
+        Adds the lines for the state of a point.
+    psi, r
+        The energy, and its derivative by the hidden stretch.
+    hidden : dict
+        Symbols of the bounds that the hidden stretch replaces.
+    """
+    across = {"solid": sympy.Integer(1), "strain": r, "stress": _b, "bar": _b**2}[text.kind]
+    for name, result, values in (
+        ("energy", "psi", {"psi[p]": psi}),
+        ("across", "result", {"result[row]": across}),
+    ):
+        text.start(name, result, arrays, vectors)
+        at_point()
+        text.values(values)
+        text.end()
+    if not text.energy.bounds:
+        return
+    text.start("inside", "result", arrays, vectors)
+    at_point()
     shares = [one.subs(hidden) / one.xreplace(UNDEFORMED) for one in text.energy.bounds]
     text.values({f"share{number}": share for number, share in enumerate(shares)})
     text.add("result[row] = share0")

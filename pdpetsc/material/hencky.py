@@ -49,8 +49,7 @@ class Hencky(ElasticMaterial):
 
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``exp(-c ln det F)``: the hidden logarithmic strain of the linear law."""
-        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
-        return stretch
+        return np.asarray(np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1]))
 
 
 @compiled

@@ -15,6 +15,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Material, isotropic_moduli
+from pdpetsc.material.directed import DirectedMaterial, isotropic_mean
 from pdpetsc.material.symmetric import WEIGHT, matrix, moduli_of_body
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ NEARLY_ONE, NEARLY_ZERO = 1e-6, 1e-9
 VOLUMETRIC = "kappa/4 * (J**2 - 1 - 2*log(J))"
 
 
-class EnergyMaterial(Material):
+class EnergyMaterial(DirectedMaterial):
     """A material with a strain energy as text; stress, tangent and hidden stretches derive from it.
 
     In plane stress the out-of-plane stretch, and in a bar the lateral stretch, follows from ``d psi / d b = 0`` at
@@ -87,7 +88,7 @@ class EnergyMaterial(Material):
 
     def constants(self, dim: int) -> Float:
         """Return the constants in the declared order, and the lateral ratio of the linear law."""
-        lam, mu = isotropic_mean(self._aligned_moduli())
+        lam, mu = isotropic_mean(self._solid())
         ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
         return np.array([*self._values(), ratio[self.kind(dim)]])
 
@@ -167,16 +168,8 @@ class EnergyMaterial(Material):
             return self._mean(dim)
         return moduli_of_body(self._undeformed(self._axes())[1], dim, self.plane)
 
-    def bulk_like_modulus(self, dim: int) -> float:
-        """Return the value of the isotropic mean [stress], which does not depend on directions."""
-        return float(np.einsum("iikk", self._mean(dim))) / dim**2
-
-    def _mean(self, dim: int) -> Float:
-        mean = isotropic_moduli(*isotropic_mean(self._aligned_moduli()), 3)
-        return moduli_of_body(mean, dim, self.plane)
-
-    def _aligned_moduli(self) -> Float:
-        """Return the moduli of a solid with all fibres along the first axis (3, 3, 3, 3) [stress]."""
+    def _solid(self) -> Float:
+        """Return the moduli with all fibres along the first axis."""
         return self._undeformed([np.eye(3)[0]] * len(self.directions()))[1]
 
     def _axes(self) -> list[Float]:
@@ -192,13 +185,10 @@ class EnergyMaterial(Material):
 
     def young_modulus(self) -> float:
         """Return ``mu (3 lambda + 2 mu) / (lambda + mu)`` of the law at small strain."""
-        moduli = self._aligned_moduli()
+        moduli = self._solid()
         lam, mu = isotropic_mean(moduli)
         if np.abs(moduli - isotropic_moduli(lam, mu, 3)).max() > NEARLY_ZERO * np.abs(moduli).max():
-            raise CaseError(
-                f"{type(self).__name__} has another Young's modulus in every direction; damage takes "
-                f"materials that are isotropic at small strain."
-            )
+            return super().young_modulus()
         return mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
 
     def _refuse_bad_start(self) -> None:
@@ -300,14 +290,6 @@ def _voigt(moduli: Float) -> Float:
     """Return the stiffness of the strains ``11, 22, 33, sqrt(2) 23, ...`` (6, 6)."""
     both = moduli + moduli.transpose(1, 0, 2, 3)
     return np.asarray(matrix(0.25 * (both + both.transpose(0, 1, 3, 2))) * np.outer(WEIGHT, WEIGHT))
-
-
-def isotropic_mean(moduli: Float) -> tuple[float, float]:
-    """Return ``lambda, mu`` of the isotropic stiffness nearest to moduli (3, 3, 3, 3)."""
-    bulk = float(np.einsum("iikk", moduli))
-    full = float(np.einsum("ikik", moduli) + np.einsum("ikki", moduli)) / 2.0
-    mu = (full - bulk / 3.0) / 10.0
-    return (bulk - 6.0 * mu) / 9.0, mu
 
 
 @dataclass(frozen=True, init=False)

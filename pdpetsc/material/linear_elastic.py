@@ -50,8 +50,7 @@ class LinearElastic(IsotropicMaterial):
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``1 + eps_lateral``, twice for a bar, to first order."""
         dim = F.shape[-1]
-        stretch: Float = 1.0 - self.lateral_strain_ratio(dim) * (np.einsum("pii->p", F) - dim)
-        return stretch
+        return np.asarray(1.0 - self.lateral_strain_ratio(dim) * (np.einsum("pii->p", F) - dim))
 
 
 @lru_cache

@@ -61,8 +61,7 @@ class NeoHookean(ElasticMaterial):
         lam, mu, hidden = self.constants(F.shape[-1])
         logs = np.log(np.linalg.det(F))
         b = np.array([lateral_stretch(lam, mu, hidden, value) for value in logs])
-        stretch: Float = b**hidden
-        return stretch
+        return np.asarray(b**hidden)
 
 
 @compiled

@@ -51,8 +51,7 @@ class SaintVenantKirchhoff(ElasticMaterial):
         """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, squared for a bar; NaN if it does not exist."""
         square = self._hidden_square(F)
         with np.errstate(invalid="ignore"):
-            stretch: Float = np.where(square > 0.0, square, np.nan) if F.shape[-1] == 1 else np.sqrt(square)
-        return stretch
+            return np.where(square > 0.0, square, np.nan) if F.shape[-1] == 1 else np.sqrt(square)
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
         """Return True if a stress-free hidden stretch exists at the points ``select``.

@@ -92,8 +92,7 @@ class SteppedMaterial(HistoryMaterial):
 
     def thickness_stretch(self, F: Float) -> Float:
         """Return the hidden stretches of the elastic law; for those of the law see ``hidden_stretch``."""
-        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
-        return stretch
+        return np.asarray(np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1]))
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return loops over blocks of points around ``respond``."""

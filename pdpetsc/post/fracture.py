@@ -497,7 +497,7 @@ class StressIntensity(AtTip):
 
         The stress of bonds is linear up to the error of their sums; for bonds the displacement gradient is used.
         """
-        fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
+        fields, law = continuum(solution), self._law(solution, domain)
         assert law is not None
         if solution.problem.material_term.linear:
             return 0.0
@@ -511,7 +511,7 @@ class StressIntensity(AtTip):
         exact = lam * np.einsum("pii->p", strain)[:, None, None] * np.eye(2) + 2.0 * mu * strain
         place = of_place(solution).factor
         exact *= (place[: len(exact)] / domain.at_tip(solution, place))[:, None, None]
-        sums[:] = [ring * domain.area @ np.linalg.norm(T, axis=(1, 2)) for T in (fields.P - exact, fields.P)]
+        sums = [ring * domain.area @ np.linalg.norm(T, axis=(1, 2)) for T in (fields.P - exact, fields.P)]
         apart, whole = solution.sum(sums)
         return float(apart / whole) if whole > 0.0 else 0.0
 

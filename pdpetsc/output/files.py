@@ -124,6 +124,14 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
+def flush_written(path: Path) -> None:
+    """Flush a file, or the entries of a folder, to disk; raises OutputError."""
+    try:
+        flush(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
 def open_hdf5(path: Path) -> h5py.File:
     """Open an HDF5 file for reading, without the locks of HDF5.
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import GlobalIndex
 from pdpetsc.declare.tiling import Cells
-from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole, writing_hdf5
+from pdpetsc.output.files import WAIT, cannot_write, flush_written, open_hdf5, replacing, write_whole, writing_hdf5
 from pdpetsc.output.folder import CELLS, FIELDS
 
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
@@ -120,10 +120,7 @@ class Index:
         """Flush both files to disk; raises OutputError."""
         if self._waiting:
             for path in (self._links, self._xdmf, self._links.parent):
-                try:
-                    flush(path)
-                except OSError as error:
-                    raise cannot_write(path, error) from error
+                flush_written(path)
             self._flushed, self._waiting = time.monotonic(), False
 
     def _geometry(self, cells: Cells | None) -> tuple[str, str]:
@@ -224,4 +221,4 @@ def remove(folder: Path, steps: Sequence[Step]) -> None:
         except OSError as error:
             raise cannot_write(folder / step.file, error) from error
     if steps:
-        flush(folder / FIELDS)
+        flush_written(folder / FIELDS)

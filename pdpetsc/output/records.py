@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
-from pdpetsc.output.files import WAIT, append, cannot_write, flush, write_whole
+from pdpetsc.output.files import WAIT, append, cannot_write, flush_written, write_whole
 
 
 class Table:
@@ -71,10 +71,7 @@ class Table:
             raise cannot_write(self.path, error) from error
 
     def _flush(self) -> None:
-        try:
-            flush(self.path)
-        except OSError as error:
-            raise cannot_write(self.path, error) from error
+        flush_written(self.path)
         self._flushed, self._waiting = time.monotonic(), False
 
 

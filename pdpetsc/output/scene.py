@@ -332,9 +332,8 @@ def component_of(values: Float, name: str) -> Float:
     width = values.ndim - 1
     if len(name) != width or any(letter not in "xyz" for letter in name):
         raise CaseError(f"A component of this field is {('empty', 'x, y or z', 'xx, xy, ...')[width]}, not {name!r}.")
-    for letter in reversed(name):
-        values = values[..., "xyz".index(letter)]
-    return values
+    index: tuple[slice | int, ...] = (slice(None), *map("xyz".index, name))
+    return np.asarray(values[index])
 
 
 def gradients(x: Float, u: Float, held: Held) -> Float:

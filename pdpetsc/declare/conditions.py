@@ -99,12 +99,16 @@ class VectorCondition(Condition):
         return values_of(type(self).__name__, component, self.schedule, x, t)
 
 
+def schedule_of(schedule: Schedule | None, value: object) -> Schedule:
+    """Return the schedule of a value: if none is declared, a ramp for numbers, and the factor 1 for a function."""
+    return schedule or (Hold() if callable(value) else Ramp())
+
+
 def values_of(name: str, component: Value, schedule: Schedule | None, x: Float, t: float) -> Float:
     """Return the component of the condition ``name`` at positions ``x`` and load parameter ``t`` (n,)."""
     if len(x) == 0:  # functions may not support empty arrays
         return np.zeros(0)
-    chosen = schedule or (Hold() if callable(component) else Ramp())
-    factor = evaluated(f"schedule of a {name} condition", chosen, (), t, t)
+    factor = evaluated(f"schedule of a {name} condition", schedule_of(schedule, component), (), t, t)
     if not callable(component):
         return np.full(len(x), component * factor)
     return np.asarray(factor * evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
@@ -404,10 +408,7 @@ class Traction(VectorCondition):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.area is not None and self.on_surface:
-            raise CaseError(
-                "A Traction on the surface has no `area`, because its facets have areas. Leave area out, or give a "
-                "normal for a layer of particles."
-            )
+            raise _has_area("Traction")
 
     @property
     def on_surface(self) -> bool:
@@ -526,6 +527,14 @@ class CrackPressure(SurfacePressure):
         onto.crack_pressure(self, name)
 
 
+def _has_area(kind: str) -> CaseError:
+    """Return the error for an area of a load on facets."""
+    return CaseError(
+        f"A {kind} on the surface has no `area`, because its facets have areas. Leave area out, or give a normal for a "
+        "layer of particles."
+    )
+
+
 def Pressure(
     region: Region,
     value: Value,
@@ -549,10 +558,7 @@ def Pressure(
     """
     if not len(normal) and distribution in (None, "surface"):
         if area is not None:
-            raise CaseError(
-                "A Pressure on the surface has no `area`, because its facets have areas. Leave area out, or give a "
-                "normal for a layer of particles."
-            )
+            raise _has_area("Pressure")
         return SurfacePressure(region, value, schedule)
     if callable(value):
         raise CaseError("A Pressure that is a function acts on the surface; leave its normal out.")

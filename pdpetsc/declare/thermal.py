@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.conditions import Condition, evaluated, values_of
+from pdpetsc.declare.conditions import Condition, evaluated, schedule_of, values_of
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, Finite, NonNegative, Positive, numbers_from, real_numbers, shown
@@ -95,7 +95,7 @@ class Temperature(Condition):
             value = given[gid]
         else:
             value = np.full(len(x), float(self.value))
-        chosen = self.schedule or (Hold() if callable(self.value) else Ramp())
+        chosen = schedule_of(self.schedule, self.value)
         s = float(evaluated("schedule of a Temperature condition", chosen, (), t, t))
         return np.asarray(start + s * (value - start))
 

@@ -283,7 +283,7 @@ def _generated(data: list[list[str]]) -> list[int]:
     for words in data:
         given = [_whole(word, "a range") for word in words if word]
         first, last, step = ([*given, 1])[:3] if len(given) > 1 else (1, 0, 1)
-        if step < 1 or last < first or last - first > 10**7:
+        if step < 1 or last < first or last - first > _MEMBERS:
             raise CaseError(f"a set generates from {first} to {last} by {step}")
         members += range(first, last + 1, step)
         _refuse_many(members)

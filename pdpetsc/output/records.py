@@ -15,6 +15,7 @@ import numpy as np
 
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.output.files import WAIT, append, cannot_write, flush_written, write_whole
+from pdpetsc.output.tables import csv_of
 
 
 class Table:
@@ -46,13 +47,13 @@ class Table:
         self._waiting = False
         with agreed(comm):
             if is_root(comm):
-                write_whole(path, _text(rows))
+                write_whole(path, csv_of(rows))
 
     def append(self, rows: Sequence[Sequence[Any]]) -> None:
         """Append the rows of rank 0."""
         with agreed(self._comm):
             if is_root(self._comm):
-                append(self.path, _text(rows))
+                append(self.path, csv_of(rows))
                 self._waiting = True
                 if time.monotonic() - self._flushed > WAIT:
                     self._flush()
@@ -73,12 +74,6 @@ class Table:
     def _flush(self) -> None:
         flush_written(self.path)
         self._flushed, self._waiting = time.monotonic(), False
-
-
-def _text(rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows(rows)
-    return text.getvalue()
 
 
 def rows_of(text: str, header: Sequence[str]) -> list[list[float]] | None:

@@ -1,8 +1,10 @@
-"""Tables of values by columns, as text and as HTML."""
+"""Tables of values by columns, as text, CSV and HTML."""
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,6 +14,13 @@ def text_of(value: Any, digits: int = 6) -> str:
     if value is None:
         return ""
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def csv_of(rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows of values as CSV, with None as an empty word."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    return text.getvalue()
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> list[str]:

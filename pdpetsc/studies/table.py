@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any
 from rich.table import Table
 
 from pdpetsc.output.files import write_whole
-from pdpetsc.output.tables import text_of
+from pdpetsc.output.tables import csv_of, text_of
 from pdpetsc.running.comparison import columns_of
 from pdpetsc.studies.refinement import Convergence
 from pdpetsc.studies.run_store import Outcome
@@ -43,10 +41,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
         "said": [one.said for one in outcomes],
         "folder": [one.folder.name for one in outcomes],
     }
-    write_columns(
-        folder / f"{name}.csv",
-        _columns(outcomes, costs),
-    )
+    write_columns(folder / f"{name}.csv", _columns(outcomes, costs))
     # Costs as numbers.
     runs = [
         {
@@ -66,9 +61,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
 
 def write_columns(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     """Write a CSV with columns by name, None as an empty word, or raise OutputError."""
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows([list(columns), *zip(*columns.values(), strict=True)])
-    write_whole(path, text.getvalue())
+    write_whole(path, csv_of([list(columns), *zip(*columns.values(), strict=True)]))
 
 
 def _order_columns(found: Sequence[Convergence]) -> dict[str, list[Any]]:

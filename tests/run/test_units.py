@@ -125,3 +125,27 @@ def test_an_end_that_petsc_calls_converged_is_not_believed(tmp_path):
     early = {**options, "snes_linesearch_atol": 1e30, "snes_max_it": 3}
     with pytest.raises(pd.SolveError, match=r"residual is above the tolerance|too many Newton iterations"):
         pd.run(case, output=tmp_path, options=early)
+
+
+def test_a_path_by_dissipated_energy_is_the_same_in_any_units(tmp_path):
+    def steps(folder, force, length):
+        stress = force / length**2
+        case = pd.Case(
+            particles=pd.LatticeNodes((0.0, 0.0), (4 * length, length), 0.25 * length, thickness=length),
+            material=pd.LinearElastic(1000.0 * stress, 0.2, plane="stress"),
+            damage=pd.PointDamage(
+                pd.softening.Linear(),
+                Gc=0.05 * stress * length,
+                strength=lambda x: stress * np.where(np.abs(x[:, 0] / length - 2.0) < 0.3, 4.0, 5.0),
+            ),
+            conditions=[pd.Clamp("-x"), pd.Displacement("+x", x=0.05 * length)],
+            solver=pd.PathFollowing(pd.Dissipation(0.005 * force * length), first=0.05, most=14),
+            fields=[],
+        )
+        return steps_of(case, {}, folder)
+
+    expected = steps(tmp_path / "plain", 1.0, 1.0)
+    growth = np.diff([step["t"] for step in expected])
+    assert len(expected) == 14 and growth[0] == pytest.approx(0.05) and growth.min() < 0.01
+    for name, scale in {"large": (1e6, 1.0), "small": (1e-9, 1e-6), "long": (1e-20, 1e9)}.items():
+        refuse_other_history(steps(tmp_path / name, *scale), expected)

@@ -211,7 +211,9 @@ class PathSolver(SnesSolver):
         """Find equilibrium at which the measure has grown by ``t`` since the last converged step, from ``u``."""
         sought, of = self._equilibrium, self._constraint
         self._target = t
-        self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
+        # A constraint with a share prescribes the load factor.
+        unit = self._options.first if of.share else self._options.measure.step
+        self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / unit
         sought.impose(self.load, *(self.load * one for one in self._whole))
         if sought.begin(u):
             self._use_tangent()
@@ -225,7 +227,6 @@ class PathSolver(SnesSolver):
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self.rtol)
-        unit = self._options.first if of.share else self._options.measure.step
         if converged and not abs(self._missed(values, load)) <= MISSED * unit:
             converged, sought.reason = False, "the measure did not grow by what it should"
         self.load = self.t = load if converged else of.load0

@@ -153,6 +153,17 @@ def put_irregular(b: PETSc.Vec) -> None:
     b.array = np.sin(1.0 + np.arange(first, last, dtype=np.float64) ** 2)
 
 
+@contextlib.contextmanager
+def with_tolerance(ksp: PETSc.KSP, rtol: float) -> Iterator[None]:
+    """Set the relative tolerance of a linear solver in the ``with`` block."""
+    before = ksp.getTolerances()[0]
+    ksp.setTolerances(rtol=rtol)
+    try:
+        yield
+    finally:
+        ksp.setTolerances(rtol=before)
+
+
 def start_anew(ksp: PETSc.KSP) -> None:
     """Reset a factorisation that failed, since PETSc's MUMPS would not try the next matrix (collective).
 

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
-from pdpetsc.petsc.library import put_irregular
+from pdpetsc.petsc.library import put_irregular, with_tolerance
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.problem import Problem
 
@@ -57,14 +57,12 @@ def growth_of_deviation(
     put_irregular(x)
     v = np.where(free, x.array_r.reshape(u.shape), 0.0)
     norms = []
-    tolerance = ksp.getTolerances()[0]
-    ksp.setTolerances(rtol=RTOL)
-    for _ in range(POWERS):
-        b.array = supports.reduced(loading(supports.completed(v))).ravel() / scale
-        ksp.solve(b, x)
-        v = v - x.array_r.reshape(u.shape)
-        norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))
-    ksp.setTolerances(rtol=tolerance)
+    with with_tolerance(ksp, RTOL):
+        for _ in range(POWERS):
+            b.array = supports.reduced(loading(supports.completed(v))).ravel() / scale
+            ksp.solve(b, x)
+            v = v - x.array_r.reshape(u.shape)
+            norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))
     x.destroy()
     b.destroy()
     before, after = norms[POWERS // 2 - 1], norms[-1]

@@ -191,10 +191,7 @@ def equilibrium(
     reversible = damage.reversible
     if not has_energy and result.converged and damage.fading(solver.state(attempt)) <= GENTLE:
         attempt, exact = solver.solve(attempt, target)
-        result = replace(
-            exact, iterations=exact.iterations + result.iterations,
-            linear_iterations=exact.linear_iterations + result.linear_iterations, easy=exact.easy and result.easy,
-        )  # fmt: skip
+        result = exact.after(result)
     while not stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
@@ -257,8 +254,7 @@ def followed(
     change : float
         Last change of a degradation factor [-]; at most ``LAST`` if ``u`` is in equilibrium with its own damage.
     """
-    iterations, linear, change = result.iterations, result.linear_iterations, 1.0
-    damage, series = damage_of(solver), GeometricSeries(solver.problem)
+    damage, series, change, easy = damage_of(solver), GeometricSeries(solver.problem), 1.0, result.easy
     for number in range(FOLLOWING):
         change = damage.fading(solver.state(u))
         if change > most:
@@ -268,8 +264,7 @@ def followed(
             break
         series.extrapolate(change)
         u, again = solver.solve(u, target)
-        iterations, linear = iterations + again.iterations, linear + again.linear_iterations
-        result = replace(again, iterations=iterations, linear_iterations=linear, easy=result.easy)
+        result = replace(again.after(result), easy=easy)
         if not again.converged:
             break
     return u, result, change
@@ -307,13 +302,13 @@ def settle(
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
     series, change = GeometricSeries(problem), 1.0
-    broken, iterations, linear = 0, 0, 0
+    # The last solve, with the iterations of all.
+    broken, last = 0, StepResult(True, "", easy=False)
     for sweep in range(1, most + 1):
         damage.freeze(True)
         with solver.loosely(None if energy else SWEPT * change) if near >= LAST else nullcontext():
             u, result = solver.solve(u, target)
-        iterations, linear = iterations + result.iterations, linear + result.linear_iterations
-        result = replace(result, iterations=iterations, linear_iterations=linear, easy=False)
+        last = result = result.after(last)
         if not result.converged:
             return u, result, broken, sweep
         before, change = change, problem.soften(solver.state(u))
@@ -331,8 +326,7 @@ def settle(
         if closed.converged and not is_saddle(solver, closed):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
-        iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
-        closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
+        last = closed = closed.after(last)
         if closed.converged and not is_saddle(solver, closed) and change <= LAST:
             damage.freeze(not energy)
             more = fail(attempt)

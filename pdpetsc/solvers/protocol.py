@@ -61,6 +61,16 @@ class StepResult:
     moved: float = 0.0
     switched: float = 0.0
 
+    def after(self, *before: StepResult) -> StepResult:
+        """Return this outcome with the iterations of the solves before it, easy only if all were."""
+        every = [*before, self]
+        return replace(
+            self,
+            iterations=sum(one.iterations for one in every),
+            linear_iterations=sum(one.linear_iterations for one in every),
+            easy=all(one.easy for one in every),
+        )
+
 
 @dataclass(frozen=True)
 class Converged:

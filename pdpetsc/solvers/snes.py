@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.petsc.library import forces_iteration, set_domain_error
+from pdpetsc.petsc.library import forces_iteration, set_domain_error, with_tolerance
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -130,15 +130,14 @@ class SnesSolver(StepSolver):
     @contextmanager
     def loosely(self, rtol: float | None = None) -> Iterator[None]:
         """Relax the tolerance of SNES in the ``with`` block, by default to ``LOOSE`` with that of its linear solver."""
-        ksp, of_linear, exact = self.snes.getKSP(), self.snes.getKSP().getTolerances()[0], self.rtol
+        ksp, exact = self.snes.getKSP(), self.rtol
+        of_linear = ksp.getTolerances()[0]
         self.snes.setTolerances(rtol=max(exact, LOOSE if rtol is None else rtol))
-        if rtol is None:
-            ksp.setTolerances(rtol=max(of_linear, 0.1 * LOOSE))
-        try:
-            yield
-        finally:
-            self.snes.setTolerances(rtol=exact)
-            ksp.setTolerances(rtol=of_linear)
+        with with_tolerance(ksp, max(of_linear, 0.1 * LOOSE) if rtol is None else of_linear):
+            try:
+                yield
+            finally:
+                self.snes.setTolerances(rtol=exact)
 
     @property
     def rtol(self) -> float:
@@ -266,11 +265,8 @@ class SnesSolver(StepSolver):
     def _roughly(self, b: Float) -> Float:
         """Solve the last tangent for forces to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""
         ksp = self.snes.getKSP()
-        rtol = ksp.getTolerances()[0]
-        ksp.setTolerances(rtol=max(rtol, ROUGH))
-        answer = self._answer(b)
-        ksp.setTolerances(rtol=rtol)
-        return answer
+        with with_tolerance(ksp, max(ksp.getTolerances()[0], ROUGH)):
+            return self._answer(b)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         residual = self._equilibrium.residual(self._read(x))

@@ -66,8 +66,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     GMRES is preconditioned from the right, so that its tolerance is that of the forces. From the left it would accept
     steps that leave the stiff forces of contact unbalanced.
 
-    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration. While damage is
-    held its factor is kept (``KeptFactor``) for GMRES, whose step counts after 30 iterations like that of a factor.
+    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration. Its factor is kept
+    where it need not count pivots (``KeptFactor``), as preconditioner of FGMRES. A step of 30 iterations counts like
+    that of a factor.
 
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Behind a
     limit of the load the tangent is indefinite. MINRES solves it with the positive definite preconditioner of two

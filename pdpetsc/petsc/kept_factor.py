@@ -1,4 +1,4 @@
-"""Tangent whose factor is kept while damage is held."""
+"""Tangent whose factor is kept while it is not needed to count pivots."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
-# Products with K for which a factor is kept. With the solutions by the factor that belong to them, they take about as
-# long as filling and factoring the matrix.
-PRODUCTS = 30
+# Products with K for which a factor is kept, by dimension. With the solutions by the factor that belong to them, they
+# take about as long as filling and factoring the matrix.
+PRODUCTS = {1: 30, 2: 30, 3: 60}
 
 
 class KeptFactor(PetscTangent):
-    """Keep the factor of K as preconditioner while damage is held, and apply the current K without a matrix.
+    """Keep the factor of K as preconditioner, and apply the current K without a matrix.
 
     A sweep changes the stiffness of few bonds, and each sweep changes it less. A Krylov solver with the factor of an
-    earlier sweep then takes less time than filling and factoring the matrix. If damage follows the displacement, every
-    update fills the matrix, so that its factor has the pivots of K.
+    earlier sweep then takes less time than filling and factoring the matrix. If damage of a symmetric problem follows
+    the displacement, every update fills the matrix, so that its factor has the pivots of K. The first update of a load
+    step does too, so that a run from a checkpoint solves with the same factors.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class KeptFactor(PetscTangent):
     def __init__(self, matrix: TangentMatrix, problem: Problem, scale: float) -> None:
         self._problem, self._matrix = problem, matrix
         self._operator = _Operator(Product(problem.supports, scale), matrix)
-        self._version = -1
+        self._version, self._step = -1, 0.0
         self._ksp: PETSc.KSP | None = None
         self._create()
 
@@ -48,10 +49,13 @@ class KeptFactor(PetscTangent):
         self.mat.setUp()
 
     def update(self, state: State, effort: float | None = None) -> None:
-        """Update to K at a state; the factor is kept for some products while damage is held."""
-        damage = self._problem.damage
-        held = damage is not None and damage.frozen
-        self.exact = not (held and self._version >= 0 and self._operator.count <= PRODUCTS and self._preconditions())
+        """Update to K at a state; without pivots to count, the factor is kept for some products."""
+        problem, damage = self._problem, self._problem.damage
+        counts_pivots = problem.symmetric and not (damage is not None and damage.frozen)
+        before = self._version >= 0 and self._step == problem.converged
+        few = self._operator.count <= PRODUCTS[problem.dim]
+        self.exact = counts_pivots or not (before and few and self._preconditions())
+        self._step = problem.converged
         if self.exact:
             self._operator.count = 0
             self._matrix.forget()

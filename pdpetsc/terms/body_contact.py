@@ -17,7 +17,8 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.terms.facet_contact import OVERLAP, ContactProduct, FacetContact, Points
-from pdpetsc.terms.facing import Ends, Pairs, Search, both_ends, sides_of
+from pdpetsc.terms.facing import Ends, Pairs, Search, both_ends, corners_of, sides_of
+from pdpetsc.terms.shared_space import bodies_of, shared_point
 
 # Gap up to which facets form a pair, in spacings.
 NEAR = 0.5
@@ -46,6 +47,8 @@ class BodyContactForces(FacetContact):
         Facets of both parts.
     stiffness, spacing, name
         As for ``ContactForces``.
+    bodies : sequence of str
+        Names of the bodies for messages, in their order; none for particles of one body.
 
     Notes
     -----
@@ -55,9 +58,14 @@ class BodyContactForces(FacetContact):
     """
 
     def __init__(
-        self, body: Body, declared: BodyContact, one: Mask, other: Mask, stiffness: float, spacing: float, name: str
-    ) -> None:
+        self, body: Body, declared: BodyContact, one: Mask, other: Mask, stiffness: float, spacing: float, name: str,
+        bodies: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         cloud = body.cloud
+        numbers = [bodies_of(body, facets) for facets in (one, other)]
+        named = ["the body"] * 2
+        if bodies:
+            named = ["body " + " or ".join(repr(bodies[number]) for number in numbers_of) for numbers_of in numbers]
         self._reach = declared.reach_at(cloud.horizon)
         mine, self._theirs, theirs = sides_of(body, one, other, self._reach, name)
         # One multiplier for each flat part of the surface of a particle and each body before it: the displacement
@@ -70,7 +78,7 @@ class BodyContactForces(FacetContact):
         first = np.unique(self._part, return_index=True)[1]
         super().__init__(
             body, np.repeat(mine.owner[first], self._bodies), declared.friction, stiffness, spacing,
-            declared.penetration, f"A body of {name}", declared.name,
+            declared.penetration, f"{named[0][0].upper()}{named[0][1:]} of {name}", named[1], declared.name,
         )  # fmt: skip
         self.symmetric = False
         self.works = self._mu > 0.0
@@ -93,6 +101,14 @@ class BodyContactForces(FacetContact):
         if overlap > OVERLAP * spacing:
             raise CaseError(
                 f"The bodies of {name} overlap by {overlap:.3g} at the start; begin with a gap or in touch."
+            )
+        shared = shared_point(body, corners_of(body, name)[0], *numbers)
+        if shared is not None:
+            both = " and ".join(repr(bodies[number]) if bodies else str(number) for number in shared[:2])
+            at = ", ".join(f"{along:.4g}" for along in shared[2])
+            raise CaseError(
+                f"The bodies {both} of {name} overlap at the start: both contain the point ({at}). Begin with a gap or "
+                f"in touch."
             )
 
     @property

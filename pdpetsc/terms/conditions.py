@@ -8,6 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.damage.state import FailingBonds
+from pdpetsc.declare.bodies import Bodies
 from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
 from pdpetsc.declare.conditions import (
     BodyForce,
@@ -335,7 +336,8 @@ class Applied:
     def body_contact(self, condition: BodyContact, name: str) -> None:
         """Add the contact of two parts of the surface."""
         one, other, stiffness, spacing = self._two_parts(condition, name)
-        self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name))
+        bodies = list(self.particles.parts) if isinstance(self.particles, Bodies) else []
+        self.following.append(BodyContactForces(self.body, condition, one, other, stiffness, spacing, name, bodies))
 
     def tied(self, condition: Tied, name: str) -> None:
         """Tie two parts of the surface."""

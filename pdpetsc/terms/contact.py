@@ -59,7 +59,7 @@ class ContactForces(FacetContact):
         title = f"The tool of {name}"
         super().__init__(
             body, facets.stencils.owner, declared.friction, stiffness, spacing, declared.penetration, title,
-            declared.name,
+            "the body", declared.name,
         )  # fmt: skip
         self._tool = declared.tool
         self._moving = RigidBody(declared.tool, body.cloud.comm, body.dim, self._owner, title)

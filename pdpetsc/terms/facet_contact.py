@@ -144,8 +144,8 @@ class FacetContact(Term):
         ``c`` [stress / length].
     spacing, penetration : float
         Mean spacing of the particles [length], and the largest penetration over it [-].
-    title, name : str
-        What touches, in messages, and prefix of the columns in the history.
+    title, into, name : str
+        What touches and what it touches, in messages, and prefix of the columns in the history.
 
     Notes
     -----
@@ -159,9 +159,9 @@ class FacetContact(Term):
 
     def __init__(
         self, body: Body, owner: LocalIndex, friction: float, stiffness: float, spacing: float, penetration: float,
-        title: str, name: str,
+        title: str, into: str, name: str,
     ) -> None:  # fmt: skip
-        self.body, self._title, self._name = body, title, name
+        self.body, self._title, self._into, self._name = body, title, into, name
         self._mu, self._c, self._spacing, self._allowed = friction, stiffness, spacing, penetration * spacing
         self.symmetric = friction == 0.0
         self._owner = owner
@@ -281,8 +281,8 @@ class FacetContact(Term):
         deepest = self._off(state)
         if deepest > self._allowed * SLACK:
             raise SolveError(
-                f"{self._title} is {deepest / self._spacing:.2g} spacings deep in the body at step time "
-                f"{state.t:.6g}; raise its stiffness above {self._c:.3g}, or its penetration."
+                f"{self._title} is {deepest / self._spacing:.2g} spacings deep in {self._into} at step "
+                f"time {state.t:.6g}; raise its stiffness above {self._c:.3g}, or its penetration."
             )
         self._p0[:] = self._p
         if self._mu > 0.0:

@@ -256,15 +256,22 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
     """
     cloud, surface = body.cloud, body.surface
     assert surface is not None
-    length = largest(cloud.comm, float(np.linalg.norm(surface.area, axis=1).max(initial=0.0))) / body.thickness
-    with agreed(cloud.comm):
-        corners = _corners(surface, body.thickness, length, name)
-    depth = body.thickness / length if cloud.dim == 2 else 1.0
+    corners, depth = corners_of(body, name)
     key = _keys(cloud, surface)
     G = surface.gradient(cloud)
     mine = _side(surface, corners, key, G, one, one & other, depth)
     theirs = _side(surface, corners, key, G, other, one & other, depth)
     return mine, theirs, theirs if cloud.comm.size == 1 else _received(cloud, mine, theirs, reach)
+
+
+def corners_of(body: Body, name: str) -> tuple[Float, float]:
+    """Return the corners of all facets of this rank as in ``Side``, and its ``depth`` (collective)."""
+    cloud, surface = body.cloud, body.surface
+    assert surface is not None
+    length = largest(cloud.comm, float(np.linalg.norm(surface.area, axis=1).max(initial=0.0))) / body.thickness
+    with agreed(cloud.comm):
+        corners = _corners(surface, body.thickness, length, name)
+    return corners, body.thickness / length if cloud.dim == 2 else 1.0
 
 
 def _side(surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Mask, both: Mask, depth: float) -> Side:

@@ -11,7 +11,7 @@ import pdpetsc as pd
 from pdpetsc.declare.region import View
 from pdpetsc.kernels.overlap import QUANTITIES, overlap_by_corners
 from pdpetsc.problem.assembly import Assembler
-from tests.commands import Stop, results
+from tests.commands import Stop, called, results
 
 E, NU = 1000.0, 0.3
 
@@ -390,6 +390,63 @@ def test_the_side_of_a_body_has_its_layers_and_named_sets_come_first():
     assert np.count_nonzero(pd.region.Face("+y", "upper").mask(view)) == 4
     view.sets["upper +y"] = np.arange(len(chunk.x)) == 0
     assert np.count_nonzero(pd.region.Face("+y", "upper").mask(view)) == 1
+
+
+def blocks(a, b):
+    """Return a case of two bodies in contact over their whole surfaces."""
+    held = {axis: 0.0 for axis in "xyz"[: len(a.chunk(0, 1).x[0])]}
+    conditions = [pd.Displacement("a", **held), pd.Displacement("b", **held), pd.BodyContact("b", "a", name="t")]
+    return pd.Case(particles=pd.Bodies({"a": a, "b": b}), material=pd.NeoHookean(1e4, 0.3), conditions=conditions)
+
+
+@pytest.mark.parametrize("overlap", [0.24, 0.26, 0.5, 0.9, 1.5])
+@pytest.mark.parametrize("spacings", [(0.25, 0.25), (0.25, 0.125), (0.125, 0.25)])
+def test_bodies_that_overlap_deeply_are_refused(spacings, overlap):
+    """Facets that are more than a spacing beyond each other form no pairs; with 1.5 the one body crosses the other."""
+    a = pd.LatticeNodes((0.0, 0.0), (3.0, 1.0), spacings[0])
+    b = pd.LatticeNodes((1.0, 1.0 - overlap), (2.0, 2.0 - overlap), spacings[1])
+    with pytest.raises(pd.CaseError, match=r"bodies 'a' and 'b' of BodyContact condition 3 overlap at the start: both"):
+        pd.prepare(blocks(a, b))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_body_inside_another_one_is_refused_and_in_a_hole_it_is_not(dim):
+    low, high = np.array([(0.0,) * dim, (3.0,) * dim])
+    inner = pd.LatticeNodes(low + 1.0, high - 1.0, 0.25)
+    hole = pd.region.Box(low + 1.0, high - 1.0)
+    for outer in (pd.LatticeNodes(low, high, 0.5), pd.LatticeNodes(low + 1.0, high - 1.0, 0.25)):
+        for pair in ((outer, inner), (inner, outer)):
+            with pytest.raises(pd.CaseError, match="overlap at the start"):
+                pd.prepare(blocks(*pair))
+    pd.prepare(blocks(pd.LatticeNodes(low, high, 0.5, cut=hole), inner))
+
+
+def test_bodies_at_a_mirror_plane_that_overlap_are_refused():
+    a, b = pd.Lattice((0.0, 0.0), (3.0, 1.0), 0.25), pd.Lattice((0.0, 0.5), (0.25, 1.5), 0.125)
+    case = dataclasses.replace(blocks(a, b), symmetry=[pd.Symmetry("x")])
+    with pytest.raises(pd.CaseError, match="overlap at the start"):
+        pd.prepare(case)
+    above = pd.Lattice((0.0, 1.0), (0.25, 1.5), 0.125)
+    pd.prepare(dataclasses.replace(case, particles=pd.Bodies({"a": a, "b": above})))
+
+
+@pytest.mark.processors
+def test_the_refusal_of_bodies_that_overlap_is_the_same_on_two_ranks(tmp_path):
+    path = tmp_path / "overlapping.py"
+    path.write_text(TEXT.replace("(0.25, 1.0), (1.25, 1.5)", "(0.25, 0.7), (1.25, 1.2)"))
+    found = [called(path, "-o", tmp_path / str(ranks), ranks=ranks) for ranks in (1, 2)]
+    assert [one.returncode for one in found] == [2, 2]
+    messages = [next(line for line in one.stderr.splitlines() if "overlap" in line) for one in found]
+    assert messages[0] == messages[1]
+    assert "bodies 'lower' and 'upper'" in messages[0]
+
+
+def test_a_penetration_names_both_bodies(tmp_path):
+    case = bars(pd.Explicit(end=20.0))
+    soft = dataclasses.replace(case.conditions[1], penetration=1e-6)
+    message = r"Body 'one' of BodyContact condition 2 is .* spacings deep in body 'two' at step time"
+    with pytest.raises(pd.SolveError, match=message):
+        pd.run(dataclasses.replace(case, conditions=[case.conditions[0], soft]), tmp_path)
 
 
 def test_what_bodies_cannot_do_is_refused(tmp_path):

@@ -68,6 +68,10 @@ class RigidTool(RigidMotion, ABC):
             found[dim:] = self.spin
         return found
 
+    def uniform_along(self, axis: int) -> bool:
+        """Return True if no translation along a coordinate axis changes the surface, as periodic cells require."""
+        return False
+
     @abstractmethod
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute distance, normal and curvature at points ``x + u``.
@@ -128,6 +132,10 @@ class RigidPlane(RigidTool):
         _vector(self, "point", dim)
         if not np.linalg.norm(_vector(self, "normal", dim)) > 0.0:
             raise CaseError("The normal of a RigidPlane is zero; let it point towards the body.")
+
+    def uniform_along(self, axis: int) -> bool:
+        """Return True for axes in the plane."""
+        return self.normal[axis] == 0.0
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute ``n . (x - point) + n . u``."""
@@ -266,6 +274,10 @@ class RigidCylinder(RigidTool):
         _vector(self, "center", dim)
         if not np.linalg.norm(_vector(self, "axis", dim)) > 0.0:
             raise CaseError("The axis of a RigidCylinder has no direction.")
+
+    def uniform_along(self, axis: int) -> bool:
+        """Return True for the axis of the cylinder."""
+        return not np.any(np.delete(np.asarray(self.axis, dtype=float), axis))
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute the distance from the axis less the radius, or its negative if the body is inside."""

@@ -123,6 +123,11 @@ class Applied:
         loads = [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
         return [*loads, *self.following]
 
+    @property
+    def _periodic(self) -> list[int]:
+        """Return the periodic axes."""
+        return [] if self.body.cloud.images is None else self.body.cloud.images.cell.periodic
+
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
         mask, components = self._where(condition, name)
@@ -320,6 +325,7 @@ class Applied:
         with agreed(cloud.comm):
             condition.tool.check(cloud.dim)
         self._refuse_across_mirrors(condition.tool, name)
+        self._refuse_without_images(condition.tool, name)
         if condition.tool.loaded:
             if any(condition.tool is one for one in self._loaded_tools):
                 raise CaseError(
@@ -332,6 +338,21 @@ class Applied:
         self._take_name(condition.name)
         stiffness, spacing = self._contact_stiffness(condition, mask)
         self.following.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
+
+    def _refuse_without_images(self, tool: RigidTool, name: str) -> None:
+        """Raise CaseError if a tool is not the same in all periods of a cell: it has no images."""
+        turn, title = np.ravel(tool.turn), type(tool).__name__
+        for axis in self._periodic:
+            letter = "xyz"[axis]
+            if not tool.uniform_along(axis):
+                raise CaseError(
+                    f"The {title} of {name} changes along {letter}, in which the cell is periodic, and has no images. "
+                    f"Use a RigidPlane with a normal across {letter}, or leave out the cell."
+                )
+            if tool.twisted or (np.any(turn) and (len(turn) < 3 or np.any(np.delete(turn, axis)))):
+                raise CaseError(
+                    f"The {title} of {name} turns, and the cell is periodic along {letter}. Leave out the rotation."
+                )
 
     def body_contact(self, condition: BodyContact, name: str) -> None:
         """Add the contact of two parts of the surface."""

@@ -309,6 +309,46 @@ def test_a_moving_tool_works_on_what_is_stored_and_lost(friction, steps, tmp_pat
     assert spent.sum() > 0.8 * float(np.abs(mean) @ way)
 
 
+def in_a_cell(tool, dim=2, axes="x"):
+    """Return a block in a cell, held below, with a tool above it."""
+    high = np.array([4.0, 1.0, 4.0][:dim])
+    return pd.Case(
+        particles=pd.Lattice(0.0 * high, high, 0.25 if dim == 2 else 0.5),
+        material=pd.LinearElastic(E=E, nu=0.3),
+        cell=pd.Cell(0.0 * high, high, axes),
+        conditions=[
+            pd.Displacement(pd.region.Slab("y", high=0.5), **{axis: 0.0 for axis in "xyz"[:dim]}),
+            pd.Contact("+y", tool, name="tool"),
+        ],
+        history={"below": pd.Reaction("y", pd.region.Slab("y", high=0.5))},
+    )
+
+
+@pytest.mark.parametrize(
+    ("tool", "dim", "axes", "message"),
+    [
+        (pd.RigidSphere((0.0, 2.0), 1.0), 2, "x", "RigidSphere of Contact condition 2 changes along x"),
+        (pd.RigidBox((1.0, 1.0), (2.0, 2.0)), 2, "x", "RigidBox of Contact condition 2 changes along x"),
+        (pd.RigidPlane((0.0, 1.0), (0.1, -1.0)), 2, "x", "RigidPlane of Contact condition 2 changes along x"),
+        (pd.RigidPlane((0.0, 1.0), (0.0, -1.0), turn=0.1, about=(0.0, 1.0)), 2, "x", "turns, and the cell is periodic"),
+        (pd.RigidCylinder((0.0, 2.0, 0.0), (0.0, 0.0, 1.0), 1.0), 3, "x", "changes along x"),
+        (pd.RigidCylinder((0.0, 2.0, 0.0), (0.0, 0.0, 1.0), 1.0, turn=(0, 0.1, 0), about=(0, 2, 0)), 3, "z", "turns"),
+    ],
+)
+def test_tools_that_a_cell_would_repeat_are_refused(tool, dim, axes, message):
+    with pytest.raises(pd.CaseError, match=message):
+        pd.prepare(in_a_cell(tool, dim, axes))
+
+
+def test_tools_that_do_not_change_along_the_periods_act_in_a_cell(tmp_path):
+    plane = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.5, -0.02))
+    run = pd.run(in_a_cell(plane), tmp_path)
+    assert run.history["tool_y"][-1] == pytest.approx(-run.history["below"][-1], rel=1e-6)
+    assert run.history["tool_area"][-1] == pytest.approx(4.0)
+    roller = pd.RigidCylinder((2.0, 2.0, 0.0), (0.0, 0.0, 2.0), 1.0, turn=(0.0, 0.0, 0.1), about=(2.0, 2.0, 0.0))
+    pd.prepare(in_a_cell(roller, 3, "z"))
+
+
 def test_what_contact_cannot_do_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="overlaps the body by"):
         pd.prepare(block(pd.RigidPlane((0.0, 0.9), (0.0, -1.0))))

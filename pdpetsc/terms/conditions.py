@@ -289,6 +289,13 @@ class Applied:
         cloud = self.body.cloud
         if self._density is None:
             raise CaseError(f"{name} needs the density of each material.")
+        along = np.flatnonzero(condition.axis).tolist() if cloud.dim == 3 else []
+        across = ["xyz"[a] for a in self._periodic if along != [a]]
+        if across:
+            raise CaseError(
+                f"{name} grows with the distance from its axis, and the cell is periodic along {across[0]}. Leave out "
+                f"the cell, or make it periodic along the axis of rotation only."
+            )
         chosen = select(cloud, condition.region, name)
         mass = np.where(chosen, self._density * cloud.volume[: cloud.n_owned], 0.0)
         self.following.append(CentrifugalForce(self.body, condition, mass, name))

@@ -79,3 +79,24 @@ def test_what_cannot_spin_is_refused():
         pd.prepare(bare)
     with pytest.raises(pd.CaseError, match="through a point of 2 numbers; give 1"):
         pd.prepare(bar(conditions=[pd.Clamp("-x"), pd.Centrifugal(pd.region.All(), 1.0, (0.0, 0.0))]))
+    spun = [pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0), bar().conditions[1]]
+    with pytest.raises(pd.CaseError, match=r"Centrifugal condition 2 grows with the distance .* periodic along x"):
+        pd.prepare(bar(particles=pd.Lattice((0.0,), (LENGTH,), 0.1), cell=pd.Cell(0.0, LENGTH), conditions=spun))
+
+
+@pytest.mark.parametrize(("axis", "refused"), [((0, 0, 1), ""), ((1, 0, 0), "z"), ((0, 1, 1), "z")])
+def test_a_cell_may_be_periodic_along_the_axis_of_rotation(axis, refused):
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0, 0.0), (1.0, 1.0, 2.0), 0.25),
+        material=pd.NeoHookean(E=E, nu=0.3, density=RHO),
+        cell=pd.Cell((0.0, 0.0, 0.0), (1.0, 1.0, 2.0), "z"),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=0.25), x=0.0, y=0.0, z=0.0),
+            pd.Centrifugal(pd.region.All(), SPEED, (0.0, 0.0, 0.0), axis=axis),
+        ],
+    )
+    if not refused:
+        pd.prepare(case)
+        return
+    with pytest.raises(pd.CaseError, match=f"the cell is periodic along {refused}"):
+        pd.prepare(case)

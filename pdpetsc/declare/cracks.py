@@ -25,6 +25,14 @@ class Crack(Declared, ABC):
         """Return the points of a crack line in a plane body, for pictures; none for other cracks."""
         return ()
 
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return the corners (dim,) of a box that holds the crack [length]; infinite by default.
+
+        In a periodic cell a crack has all images that reach it. Along an axis in which the box is infinite, these are
+        the next ones on both sides.
+        """
+        return np.full(dim, -np.inf), np.full(dim, np.inf)
+
     @abstractmethod
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds from ``a`` to ``b`` (n, dim) that cross the crack, (n,) bool.
@@ -65,6 +73,10 @@ class Segment(Crack):
     @property
     def line(self) -> Sequence[Sequence[float]]:
         return (self.start, self.end)
+
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return the box around both ends."""
+        return _box([self.start, self.end], dim, "Segment")
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the segment."""
@@ -108,6 +120,10 @@ class Polyline(Crack):
     def line(self) -> Sequence[Sequence[float]]:
         return self.points
 
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return the box around the points."""
+        return _box(self.points, dim, "Polyline")
+
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross one of the segments."""
         return np.asarray(np.any([segment.cuts(a, b) for segment in self._segments], axis=0))
@@ -139,6 +155,14 @@ class PlaneCrack(Crack):
     point: Sequence[float]
     normal: Sequence[float]
 
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return a box without thickness if the normal is along an axis."""
+        low, high = super().box(dim)
+        axes = np.flatnonzero(_point(self.normal, dim, "crack"))
+        if len(axes) == 1:
+            low[axes] = high[axes] = _point(self.point, dim, "crack")[axes]
+        return low, high
+
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the plane."""
         return _crossing(a, b, self.point, self.normal)[0]
@@ -167,6 +191,11 @@ class Disc(Crack):
         if not self.radius > 0.0:
             raise CaseError(f"A crack Disc needs a positive radius, not {self.radius}.")
 
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return the box around the ball of its radius."""
+        low, high = _box([self.centre], dim, "Disc")
+        return low - self.radius, high + self.radius
+
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the disc."""
         _same(a, 3, "Disc")
@@ -191,6 +220,10 @@ class PolygonCrack(Crack):
     """
 
     points: Sequence[Sequence[float]]
+
+    def box(self, dim: int) -> tuple[Float, Float]:
+        """Return the box around the points."""
+        return _box(self.points, dim, "PolygonCrack")
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the polygon."""
@@ -220,10 +253,26 @@ class PolygonCrack(Crack):
 SHIPPED: dict[str, type[Crack]] = {kind.__name__: kind for kind in (Segment, Polyline, PlaneCrack, Disc, PolygonCrack)}
 
 
-def recorded(crack: Crack) -> dict[str, Any]:
-    """Return a crack as a record for ``crack_of``; only the class name for a class of a user."""
+def recorded(crack: Crack, sign: Float, shift: Float) -> list[dict[str, Any]]:
+    """Return records of the images of a crack for ``crack_of``; only the class name for a class of a user.
+
+    The image of a point x is ``sign * x + shift``, with a row (dim,) of both arguments for each image.
+    """
     name = type(crack).__name__
-    return {"kind": name, **(asdict(crack) if SHIPPED.get(name) is type(crack) else {})}  # type: ignore[call-overload]
+    if SHIPPED.get(name) is not type(crack):
+        return [{"kind": name}]
+    declared: dict[str, Any] = asdict(crack)  # type: ignore[call-overload]
+    return [
+        {"kind": name, **{key: _moved(key, value, flip, to) for key, value in declared.items()}}
+        for flip, to in zip(sign, shift, strict=True)
+    ]
+
+
+def _moved(key: str, value: Any, sign: Float, shift: Float) -> Any:
+    """Return a field of a shipped crack in the place of an image."""
+    if key == "radius":
+        return value
+    return (sign * np.asarray(value, dtype=float) + (0.0 if key == "normal" else shift)).tolist()
 
 
 def crack_of(record: Mapping[str, Any]) -> Crack | None:
@@ -283,6 +332,12 @@ def _point(values: Sequence[float] | Float, dim: int, name: str) -> Float:
     if point.shape != (dim,) or not np.isfinite(point).all():
         raise CaseError(f"A {name} of a {dim}-dimensional body needs points of {dim} numbers, not {values}.")
     return point
+
+
+def _box(points: Sequence[Sequence[float]], dim: int, name: str) -> tuple[Float, Float]:
+    """Return the corners of the box around points."""
+    x = np.array([_point(point, dim, name) for point in points]).reshape(-1, dim)
+    return x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
 
 
 def _same(a: Float, dim: int, name: str) -> None:

@@ -13,6 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.discrete.lattice_stencils import Grid, LatticeStencils, find_grid, find_lattice, listed_families
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import lengths_kernel
@@ -317,11 +318,10 @@ class _Cutting:
     """Determine which pairs are of two bodies or separated by cracks, and count the cut pairs of each crack."""
 
     def __init__(self, cloud: Cloud, cracks: Sequence[Crack]) -> None:
-        self._cloud, self._cracks = cloud, cracks
+        self._cloud = cloud
+        with agreed(cloud.comm):
+            self._cracks = [images_of_cloud(crack, cloud) for crack in cracks]
         self._count = np.zeros(len(cracks))
-        self._home = np.zeros_like(cloud.x)
-        if cloud.images is not None:
-            self._home[cloud.n_owned :] = cloud.offset
 
     @property
     def cuts(self) -> bool:
@@ -336,17 +336,16 @@ class _Cutting:
             return cut
         if cloud.body is not None:
             cut = cloud.body[pairs[:, 0]] != cloud.body[pairs[:, 1]]
-        # Both ends test the same bond, on any rank; rounding at the rim of a crack must give both the same result.
+        # Both ends test the same bond, on any rank; rounding at the rim of a crack must give both the same result. The
+        # first end is in the cell.
         turned = cloud.gid[pairs[:, 0]] > cloud.gid[pairs[:, 1]]
         pairs = np.where(turned[:, None], pairs[:, ::-1], pairs)
         a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
+        if cloud.images is not None and self._cracks:
+            away = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), cloud.offset])[pairs[:, 0]]
+            a, b = a - away, b - away
         for number, crack in enumerate(self._cracks):
-            separated = np.zeros(len(pairs), dtype=bool)
-            for sign, to in zip(*cloud.places.mirrors, strict=True):
-                separated |= crack.cuts(sign * a + to, sign * b + to)
-                for end in (0, 1) if cloud.images is not None else ():
-                    shift = self._home[pairs[:, end]]
-                    separated |= crack.cuts(sign * (a - shift) + to, sign * (b - shift) + to)
+            separated = crack.cuts(a, b)
             self._count[number] += np.count_nonzero(separated)
             cut |= separated
         return cut
@@ -355,4 +354,4 @@ class _Cutting:
         """Raise CaseError on all ranks if a crack has cut no bond (collective)."""
         for number, count in enumerate(total(self._cloud.comm, self._count) if self._cracks else ()):
             if not count:
-                raise CaseError(f"Crack {number + 1} cuts no bond: {self._cracks[number]}.")
+                raise CaseError(f"Crack {number + 1} cuts no bond: {self._cracks[number].crack}.")

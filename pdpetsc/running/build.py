@@ -25,10 +25,12 @@ from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import Explicit, SnapThrough
 from pdpetsc.declare.steps import Steps
+from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, smallest, total
+from pdpetsc.discrete.crack_images import images_of_case
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, positions_on_lattice
 from pdpetsc.discrete.memory import (
@@ -100,6 +102,13 @@ def make_chunk(comm: Comm, case: Case) -> Chunk:
     return chunk
 
 
+def created_facets(comm: Comm, case: Case, dim: int) -> Facets:
+    """Return the facets of the particles that this rank creates, also those at cracks and their images (collective)."""
+    with agreed(comm):
+        cracks = images_of_case(case.cracks, dim, case.cell, case.symmetry) if case.cracks else ()
+        return case.particles.surface(comm.rank, comm.size, cracks)
+
+
 def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float | None = None) -> Cloud:
     """Distribute the particles of a case, by default those of ``make_chunk`` (collective); raise CaseError on failure.
 
@@ -120,8 +129,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     further = [one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)]
     beyond: float | Float = 0.0
     if further and comm.size > 1:  # around particles with facets
-        with agreed(comm):
-            facets = case.particles.surface(comm.rank, comm.size, case.cracks)
+        facets = created_facets(comm, case, chunk.x.shape[1])
         outer = np.zeros(len(chunk.x))
         outer[facets.arrays[2]] = 1.0
         beyond = max(further) * outer
@@ -221,9 +229,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
 
 def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
     """Return the surface of the body (collective)."""
-    with agreed(cloud.comm):
-        facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
-    surface = surface_of(cloud, families, facets)
+    surface = surface_of(cloud, families, created_facets(cloud.comm, case, cloud.dim))
     # Facets on crack faces may have bonds beside the tip.
     if case.chosen_weights.conform and not case.cracks:
         refuse_joined(cloud, surface, case.particles.thickness)

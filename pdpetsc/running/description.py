@@ -8,7 +8,9 @@ from typing import Any
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.declare.supports import PointSupport
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
 from pdpetsc.petsc.library import petsc_version
@@ -50,7 +52,7 @@ def describe(case: Case, problem: Problem, declared: Case, report: Report) -> di
     """
     return {
         **_model(case, problem, report),
-        **_labels(case),
+        **_labels(case, problem.body.cloud),
         **_scheme(case, problem, declared, report),
         **_notes(case, problem, report),
         **_loads(problem, report),
@@ -89,8 +91,9 @@ def _kind(case: Case, dim: int) -> str:
     return f"{dim}D ({' and '.join(f'plane {state}' for state in states)})" if dim == 2 else f"{dim}D"
 
 
-def _labels(case: Case) -> dict[str, Any]:
-    """Return units, dimensions of quantities and cracks of a plane body, for pictures and tables."""
+def _labels(case: Case, cloud: Cloud) -> dict[str, Any]:
+    """Return units, dimensions of quantities and cracks, for pictures and tables."""
+    images = [images_of_cloud(crack, cloud) for crack in case.cracks]
     return {
         "units": {} if case.units is None else dataclasses.asdict(case.units),
         "dimensions": {
@@ -98,7 +101,7 @@ def _labels(case: Case) -> dict[str, Any]:
             "fields": {field.__name__: dimension_of(field) for field in case.recorded},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
-        "cuts": [recorded_crack(crack) for crack in case.cracks],
+        "cuts": [record for one in images for record in recorded_crack(one.crack, one.sign, one.shift)],
         "thickness": case.particles.thickness,
     }
 

@@ -14,6 +14,7 @@ from pdpetsc.control.tangent_scaled import YieldingFamilies
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
@@ -134,12 +135,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _start_crack(self, crack: Crack) -> None:
         """Let all points fail whose family a crack cuts along its normal (collective)."""
-        points, places = np.flatnonzero(~self.points.spared), self.body.cloud.places
+        points = np.flatnonzero(~self.points.spared)
         x = self.body.cloud.x[self.operator.owner[points]]
         cut, normal = np.zeros(len(points), dtype=bool), np.zeros_like(x)
         with agreed(self.body.cloud.comm):
-            # Images of the crack in a periodic cell and behind mirror planes.
-            for sign, shift in zip(places.sign, places.shift, strict=True):
+            images = images_of_cloud(crack, self.body.cloud)
+            for sign, shift in zip(images.sign, images.shift, strict=True):
                 along = sign * crack.normals(sign * (x - shift))
                 if along.shape != x.shape or not np.allclose(np.linalg.norm(along, axis=1), 1.0, rtol=0.0, atol=1e-6):
                     raise CaseError(f"The normals of a {type(crack).__name__} must be unit vectors {x.shape}.")

@@ -424,7 +424,9 @@ TOGETHER = {
             pd.Temperature(pd.region.All(), -20.0),
         ],
     },
-    "periodic cell": {"cell": pd.Cell((0.0, 0.0), (14.0, 8.0), axes="y")},
+    "periodic cell": {
+        "cell": pd.Cell((0.0, 0.0), (14.0, 8.0), axes="y"), "cracks": [pd.Segment((7.0, 0.0), (7.0, 2.0))],
+    },
     "mirror plane": {"symmetry": [pd.Symmetry("y", 8.0)]},
     "flow": {
         "material": pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0), "damage": FLOWS,

@@ -1,12 +1,16 @@
 """Pre-cracks: which bonds a segment, polyline, plane, disc or polygon cuts, on any rank count and across cell sides."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
+from tests.commands import results
 
 
 def pairs_left(x, horizon, cracks, cell=None):
@@ -72,6 +76,125 @@ def test_cracks_of_a_periodic_cell_cut_images_from_both_ends():
     cell = pd.Cell((0.0, 0.0), (6.0, 3.0), "x")
     cut = cut_by(x, 1.015, [pd.PlaneCrack((6.0, 0.0), (1.0, 0.0))], cell=cell)
     assert cut == {(row, 15 + row) for row in range(3)}
+
+
+@pytest.mark.parametrize("shift", [-9.0, -2.0, 1.0, 3.0, 4.0, 13.0])
+@pytest.mark.parametrize(
+    "crack",
+    [
+        lambda x: pd.Segment((x + 1.8, 1.5), (x + 3.2, 1.5)),
+        lambda x: pd.Polyline([(x + 1.8, 1.5), (x + 2.6, 0.7), (x + 3.2, 1.2)]),
+        lambda x: pd.PlaneCrack((x + 1.5, 0.0), (2.0, 0.0)),
+        lambda x: pd.Segment((x + 0.2, 1.5), (x + 9.9, 1.5)),  # longer than the cell
+    ],
+)
+def test_cracks_that_differ_by_a_way_along_the_cell_cut_the_same_bonds(crack, shift):
+    x = grid(6, 3) + 0.5
+    cell = pd.Cell((0.0, 0.0), (6.0, 3.0), "x")
+
+    def cut(by):
+        """Return the bonds that are cut, on particles moved back by as much as the crack."""
+        home = np.ravel_multi_index((((x - [by, 0.0]) % [6.0, 99.0]).astype(int)).T, (6, 3))
+        return {tuple(sorted((home[i], home[j]))) for i, j in cut_by(x, 2.015, [crack(by)], cell=cell)}
+
+    assert cut(shift) == cut(0.0) != set()
+
+
+def test_a_disc_is_repeated_along_both_periods_of_a_cell():
+    x = grid(6, 6, 2) + 0.5
+    cell = pd.Cell((0.0, 0.0, 0.0), (6.0, 6.0, 2.0), "xy")
+    cut = cut_by(x, 1.015, [pd.Disc((6.0, -6.0, 1.0), (0.0, 0.0, 1.0), 1.0)], cell=cell)
+    assert {tuple(x[i][:2]) for i, _ in cut} == {(a, b) for a in (0.5, 5.5) for b in (0.5, 5.5)}
+
+
+class Wall(Crack):
+    """A crack of a user, without a box."""
+
+    def cuts(self, a, b):
+        return (a[:, 0] < 6.0) != (b[:, 0] < 6.0)
+
+
+def test_a_crack_without_a_box_has_its_next_images():
+    x = grid(6, 3) + 0.5
+    assert cut_by(x, 1.015, [Wall()], cell=pd.Cell((0.0, 0.0), (6.0, 3.0), "x")) == {
+        (row, 15 + row) for row in range(3)
+    }
+
+
+def test_a_plane_inclined_to_the_period_is_refused():
+    cell = pd.Cell((0.0, 0.0), (4.0, 4.0), "x")
+    with pytest.raises(pd.CaseError, match="inclined to x, in which the cell is periodic"):
+        pairs_left(grid(4, 4), 1.5, [pd.PlaneCrack((1.5, 0.0), (1.0, 0.2))], cell=cell)
+    pairs_left(grid(4, 4), 1.5, [pd.PlaneCrack((0.0, 1.5), (0.0, 1.0))], cell=cell)
+
+
+CELL = """
+import pdpetsc as pd
+
+def case(shift=0.0, kind="bonds"):
+    crack = pd.Segment((shift - 0.75, 2.0), (shift + 0.75, 2.0))
+    law = pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=0.1, cracks=[crack])
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 0.25),
+        material=pd.BondBased(1000.0, 0.25) if kind == "bonds" else pd.LinearElastic(1000.0, 0.3),
+        weights=pd.Conforming() if kind == "gradients" else pd.Standard(),
+        cell=pd.Cell((0.0, 0.0), (4.0, 4.0), axes="x"),
+        conditions=[
+            pd.MeanStrain(xx=0.0),
+            pd.Displacement(pd.region.Slab("y", high=0.5), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("y", low=3.5), y=1e-4),
+        ],
+        history={"stored": pd.StrainEnergy()},
+        results=lambda h: {"stored": h["stored"][-1]},
+        **({"damage": law} if kind == "points" else {"cracks": [crack]}),
+    )
+"""
+
+
+@pytest.mark.processors
+@pytest.mark.parametrize("kind", ["bonds", "gradients", "points"])
+def test_the_energy_of_a_crack_does_not_depend_on_its_place_along_the_cell(kind, tmp_path):
+    """Gradients with weights that conform to the faces of the crack; points that have failed."""
+    path = tmp_path / "cell.py"
+    path.write_text(CELL)
+
+    def stored(shift, ranks):
+        words = [f"shift={shift}", f"kind={kind}"]
+        return results(path, *words, ranks=ranks, output=tmp_path / f"{shift}_{ranks}")["results"]["stored"]
+
+    for shift, ranks in ((0.0, 1), (0.0, 2), (3.25, 2), (-7.0, 1)):
+        assert stored(shift, ranks) == pytest.approx(stored(2.0, 1), rel=1e-9)
+
+
+def test_values_between_particles_are_not_means_across_the_image_of_a_crack(tmp_path):
+    """The record of the run has the images."""
+    namespace = {}
+    exec(CELL, namespace)
+    case = namespace["case"]()
+    result = pd.run(dataclasses.replace(case, fields=[pd.displacement]), tmp_path)
+    for x in (0.125, 3.875):
+        at = result.sample([(x, 1.999), (x, 2.001)])[:, 1]
+        assert at[1] - at[0] > 2e-5
+
+
+def test_a_crack_behind_a_mirror_plane_has_faces(tmp_path):
+    """Conforming weights follow the faces of the image as those of the crack on this side of the plane."""
+    found = []
+    for sign in (1.0, -1.0):
+        case = pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (2.0, 2.0), 0.25),
+            material=pd.LinearElastic(1000.0, 0.3),
+            weights=pd.Conforming(),
+            symmetry=[pd.Symmetry("x")],
+            cracks=[pd.Segment((sign * 1.0, 1.0), (sign * 3.0, 1.0))],
+            conditions=[
+                pd.Displacement(pd.region.Slab("y", high=0.5), x=0.0, y=0.0),
+                pd.Displacement(pd.region.Slab("y", low=1.5), y=1e-4),
+            ],
+            history={"stored": pd.StrainEnergy()},
+        )
+        found.append(pd.run(case, tmp_path / str(sign)).history["stored"][-1])
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -128,7 +128,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     widest = largest(comm, float(np.max(reach, initial=0.0)))
     further = [one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)]
     beyond: float | Float = 0.0
-    if further and comm.size > 1:  # around particles with facets
+    if further and (comm.size > 1 or case.symmetry):  # around particles with facets, also for their images
         facets = created_facets(comm, case, chunk.x.shape[1])
         outer = np.zeros(len(chunk.x))
         outer[facets.arrays[2]] = 1.0

@@ -290,6 +290,9 @@ class BodyContactForces(FacetContact):
         ]
         high, other = np.split(all_largest(self.body.cloud.comm, np.concatenate(most)), 2)
         dim = self.body.dim
+        for axis in self.body.cloud.places.planes:
+            # Images move the other way.
+            other[[axis, dim + axis]] = other[[axis, dim + axis]].max()
         return float(np.linalg.norm(np.maximum(high[:dim] + other[dim:], high[dim:] + other[:dim])))
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
@@ -323,6 +326,8 @@ class BodyContactForces(FacetContact):
             values = np.zeros((cloud.n_local, self.body.dim))
             np.add.at(values, search.one.particle[pairs.rows[rows]], force)
             np.add.at(values, search.other.particle[pairs.other_rows[rows]], -force)
+            if len(cloud.sign):
+                values[cloud.n_owned :] *= cloud.sign
             cloud.halo.reverse(values)
             return np.asarray(values[: cloud.n_owned] / np.where(area > 0.0, area, 1.0)[:, None])
 

@@ -236,6 +236,8 @@ class Pairs:
 def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tuple[Side, Side, Side]:
     """Return the own facets of both parts of the surface, and all facets of the other part within a reach of the first.
 
+    The latter include images behind mirror planes.
+
     Parameters
     ----------
     one, other : (n_facets,) bool
@@ -261,7 +263,8 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
     G = surface.gradient(cloud)
     mine = _side(surface, corners, key, G, one, one & other, depth)
     theirs = _side(surface, corners, key, G, other, one & other, depth)
-    return mine, theirs, theirs if cloud.comm.size == 1 else _received(cloud, mine, theirs, reach)
+    alone = cloud.comm.size == 1 and not cloud.places.planes
+    return mine, theirs, theirs if alone else _received(cloud, mine, theirs, reach)
 
 
 def corners_of(body: Body, name: str) -> tuple[Float, float]:
@@ -319,22 +322,40 @@ def _corners(surface: Surface, thickness: float, depth: float, name: str) -> Flo
 
 
 def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
-    """Return the facets of all ranks within a reach of the box around the own facets (collective)."""
+    """Return the facets of all ranks and their images within a reach of the box around the own facets (collective)."""
     comm, dim = cloud.comm, cloud.dim
     box = np.concatenate([mine.x.min(axis=0, initial=np.inf), mine.x.max(axis=0, initial=-np.inf)])
     boxes = np.array(comm.allgather(box))
-    near = [
-        np.flatnonzero(np.all((theirs.x >= low - reach) & (theirs.x <= high + reach), axis=1))
-        for low, high in zip(boxes[:, :dim], boxes[:, dim:], strict=True)
-    ]
-    rank = np.repeat(np.arange(comm.size), [len(rows) for rows in near]).astype(np.int32)
-    rows = np.concatenate(near)
-    entry, ptr = entries_of(theirs.ptr, rows)
-    size = np.diff(ptr)
-    facets = [theirs.x[rows], theirs.corners[rows], theirs.key[rows], theirs.both[rows], size]
-    (x, corners, key, both, size), _ = exchange(comm, rank, facets)
-    of = cloud.order[theirs.members[entry]], theirs.N[entry], theirs.G[entry]
-    (members, N, G), _ = exchange(comm, np.repeat(rank, np.diff(ptr)), list(of))
+    ranks, facets, sizes, entries = [], [], [], []
+    for behind, (sign, to) in enumerate(zip(*cloud.places.mirrors, strict=True)):
+        x = sign * theirs.x + to
+        near = [
+            np.flatnonzero(np.all((x >= low - reach) & (x <= high + reach), axis=1))
+            for low, high in zip(boxes[:, :dim], boxes[:, dim:], strict=True)
+        ]
+        rows = np.concatenate(near)
+        entry, ptr = entries_of(theirs.ptr, rows)
+        members = theirs.members[entry]
+        corners = theirs.corners[rows]
+        corners[:, :, :dim] = sign * corners[:, :, :dim] + to
+        if np.prod(sign) < 0.0:
+            corners = corners[:, [1, 0, 3, 2]]
+        # Keys of images are below all others: a body does not touch its own image.
+        key = theirs.key[rows] if behind == 0 else -theirs.key[rows] * cloud.places.n - behind
+        # With mirror planes there are no periods, and the number of a place is that of its planes.
+        place = cloud.place[members]
+        order = cloud.order[members] + ((place ^ behind) - place)
+        ranks.append(np.repeat(np.arange(comm.size), [len(one) for one in near]).astype(np.int32))
+        facets.append([x[rows], corners, key, theirs.both[rows], np.diff(ptr)])
+        sizes.append(np.diff(ptr))
+        entries.append([order, theirs.N[entry], sign * theirs.G[entry]])
+    rank, size = np.concatenate(ranks), np.concatenate(sizes)
+    (x, corners, key, both, size_here), _ = exchange(
+        comm, rank, [np.concatenate(one) for one in zip(*facets, strict=True)]
+    )
+    of = [np.concatenate(one) for one in zip(*entries, strict=True)]
+    (members, N, G), _ = exchange(comm, np.repeat(rank, size), of)
+    size = size_here
     ptr = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     order = np.argsort(cloud.order)
     place = np.minimum(np.searchsorted(cloud.order[order], members), cloud.n_local - 1)

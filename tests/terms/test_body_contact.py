@@ -441,6 +441,52 @@ def test_the_refusal_of_bodies_that_overlap_is_the_same_on_two_ranks(tmp_path):
     assert "bodies 'lower' and 'upper'" in messages[0]
 
 
+MIRRORED = """
+import pdpetsc as pd
+
+def case(half=True):
+    low, share = (0.0, 1.0) if half else (-2.0, 0.5)
+    lower = pd.Lattice((low, 0.0), (2.0, 1.0), 0.25)
+    upper = pd.Lattice((0.5 * low, 1.0), (1.0, 1.5), 0.125)
+    bottom, top = pd.region.Slab("y", high=0.25), pd.region.Slab("y", low=1.375)
+    return pd.Case(
+        particles=pd.Bodies({"lower": lower, "upper": upper}),
+        material=pd.NeoHookean(E=1000.0, nu=0.3),
+        symmetry=[pd.Symmetry("x")] if half else [],
+        conditions=[
+            pd.Displacement(bottom, x=0.0, y=0.0),
+            pd.Displacement(top, x=0.0, y=-0.1),
+            pd.BodyContact("upper -y", "lower +y", 0.3, penetration=1e-4, name="pair"),
+        ],
+        history={"stored": pd.StrainEnergy()},
+        results=lambda h: {
+            "area": share * h["pair_area"][-1], "force": share * h["pair_y"][-1], "stored": share * h["stored"][-1],
+        },
+        fields=[pd.displacement],
+        steps=pd.Steps(3),
+    )
+"""
+
+
+@pytest.mark.processors
+def test_half_of_two_bodies_has_the_contact_of_the_whole(tmp_path):
+    """Facets at the plane turn, and overlap with the image of the other body by some 1e-4 of a facet."""
+    path = tmp_path / "mirrored.py"
+    path.write_text(MIRRORED)
+    found = [
+        results(path, f"half={half}", ranks=ranks, output=tmp_path / f"{half}{ranks}")["results"]
+        for half, ranks in ((True, 1), (True, 2), (False, 1))
+    ]
+    assert found[0] == pytest.approx(found[2], rel=1e-9)
+    assert found[1] == pytest.approx(found[2], rel=1e-9)
+    # Tractions are those of the particles of the half, also of pairs with images.
+    half, whole = (pd.open(tmp_path / f"{one}1") for one in (True, False))
+    right = whole.x[:, 0] > 0.0
+    order = [np.lexsort(x.T) for x in (half.x, whole.x[right])]
+    expected, values = whole.field("pair_traction")[right][order[1]], half.field("pair_traction")[order[0]]
+    np.testing.assert_allclose(values, expected, atol=1e-8 * np.abs(expected).max())
+
+
 def test_a_penetration_names_both_bodies(tmp_path):
     case = bars(pd.Explicit(end=20.0))
     soft = dataclasses.replace(case.conditions[1], penetration=1e-6)

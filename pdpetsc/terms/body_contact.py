@@ -275,7 +275,22 @@ class BodyContactForces(FacetContact):
                 f"The parts of {self._name} have moved by up to {most:.3g} relative to each other at step time "
                 f"{state.t:.6g}, further than reach={self._reach:.3g}. Raise the reach."
             )
+        self._refuse_own_image(state)
         super().commit(state)
+
+    def _refuse_own_image(self, state: State) -> None:
+        """Raise SolveError if a body in contact with itself is beyond a mirror plane, into its own image."""
+        side, cloud = self._search.one, self.body.cloud
+        for axis, at in cloud.places.planes.items() if self._of_itself else ():
+            before = side.x[side.both, axis] - at
+            now = side.deformed(state.u_local)[side.both, :, axis].mean(axis=1) - at
+            beyond = largest(cloud.comm, float((-np.sign(before) * now).max(initial=-np.inf)))
+            if beyond > self._allowed:
+                raise SolveError(
+                    f"{self._title} is {beyond / self._spacing:.2g} spacings beyond the mirror plane "
+                    f"{'xyz'[axis]} = {at:g} at step time {state.t:.6g}, in its own image. Add a Contact with a "
+                    f"RigidPlane on the mirror plane."
+                )
 
     def _apart(self, u: Float) -> float:
         """Return a bound on the relative displacements of both parts [length] (collective)."""

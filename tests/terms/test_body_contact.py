@@ -487,6 +487,26 @@ def test_half_of_two_bodies_has_the_contact_of_the_whole(tmp_path):
     np.testing.assert_allclose(values, expected, atol=1e-8 * np.abs(expected).max())
 
 
+def test_a_body_in_its_own_image_ends_the_run(tmp_path):
+    """The gap of 0.5 between a block and its image closes; a tool on the plane is the image of a symmetric contact."""
+    held = pd.region.Slab("y", low=0.75)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.25), (1.0, 1.0), 0.125),
+        material=pd.NeoHookean(E=E, nu=0.3),
+        symmetry=[pd.Symmetry("y")],
+        conditions=[
+            pd.Displacement(held, x=0.0, y=-0.3),
+            pd.BodyContact(pd.region.All(), pd.region.All(), name="pair"),
+        ],
+        steps=pd.Steps(4),
+    )
+    with pytest.raises(pd.SolveError, match=r"beyond the mirror plane y = 0 at step time 1, in its own image\. Add a"):
+        pd.run(case, tmp_path / "free")
+    plane = pd.Contact("-y", pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), name="plane")
+    run = pd.run(dataclasses.replace(case, conditions=[*case.conditions, plane]), tmp_path / "held")
+    assert run.history["plane_y"][-1] > 1.0
+
+
 def test_a_penetration_names_both_bodies(tmp_path):
     case = bars(pd.Explicit(end=20.0))
     soft = dataclasses.replace(case.conditions[1], penetration=1e-6)

@@ -199,6 +199,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
             sought.reason = UNBALANCED
         if self._rigid is not None and self._rigid.objection:
             sought.reason = self._rigid.objection
+        sought.reason = sought.reason or self.problem.objection(self.state(u))
         if sought.reason:
             return u, sought.result(False, 0, 0, 0)
         return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -18,8 +19,9 @@ from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, Points
 
-# Places between the ends of a step at which a tool may not lie within the body.
-PLACES = 16
+# Smallest and largest number of places between the ends of a step at which a tool may not lie within the body; they are
+# half a spacing apart, as far as the largest number allows.
+PLACES, MOST_PLACES = 16, 1000
 # Largest turn of a tool with friction in a step [rad]: friction sees the chord of the path.
 TURN = 0.5
 
@@ -149,9 +151,12 @@ class ContactForces(FacetContact):
         title = self._title[0].lower() + self._title[1:]
         tool, moving, t0 = self._tool, self._moving, state.clock.before
         g, n = self._gap(state)
-        start, end = moving.absolute(self._x, self._slid, t0), moving.absolute(self._x, self._seen(state)[0], state.t)
+        seen = self._seen(state)[0]
+        start, end = moving.absolute(self._x, self._slid, t0), moving.absolute(self._x, seen, state.t)
         through = np.zeros(len(g), dtype=bool)
-        for share in np.arange(1, PLACES) / PLACES:
+        way = largest(self.body.cloud.comm, float(np.abs(seen - self._slid).max(initial=0.0)))
+        places = min(max(PLACES, math.ceil(2.0 * way / self._spacing)), MOST_PLACES)
+        for share in np.arange(1, places) / places:
             u, _ = moving.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
             between, normal, _ = tool.gap(self._x, u)
             through |= (between < -self._allowed) & ((g > 0.0) | ((n * normal).sum(axis=1) < 0.0))

@@ -318,6 +318,20 @@ def test_energy_that_a_contact_gives_a_rigid_region_is_judged(kind, tmp_path):
     assert found["error"][-1] == pytest.approx(gained, rel=0.01)
 
 
+@pytest.mark.parametrize(("held", "end"), [(ALL, 0.02), (pd.region.Slab("x", high=0.1), 2.0)])
+def test_a_free_tool_does_not_cross_a_wall_in_one_step(held, end, tmp_path):
+    """A wall of which nothing gives way, and a step in which the tool moves by 400 times the thickness of the wall."""
+    ball = pd.RigidSphere((1.3, 1.5), 0.3, force=(0.0, None), mass=0.2, velocity=(-100.0, 0.0))
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (0.5, 3.0), 0.25),
+        material=pd.NeoHookean(1e4, 0.0, density=1.0),
+        conditions=[pd.Displacement(held, x=0.0, y=0.0), pd.Contact(ALL, ball, name="tool")],
+        solver=pd.Implicit(dt=end, end=end),
+    )
+    with pytest.raises(pd.SolveError, match=r"passed through the surface|deep in the body"):
+        pd.run(case, tmp_path)
+
+
 @pytest.mark.parametrize("kind", ["explicit", "implicit"])
 def test_damping_by_the_mass_slows_a_region(kind, tmp_path):
     nodes = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5)

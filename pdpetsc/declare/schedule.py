@@ -12,6 +12,8 @@ from pdpetsc.declared import Declared, Finite
 from pdpetsc.errors import CaseError
 
 Schedule: TypeAlias = Callable[[float], float]
+# Changes of slope below this share of the largest slope are rounding.
+ROUNDED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,24 @@ class Table(Declared):
         if len(self.times) != len(self.factors) or len(self.times) < 2 or np.any(np.diff(self.times) <= 0.0):
             raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
 
+    @property
+    def corners(self) -> list[float]:
+        """Return the times at which the slope changes, ascending [-]."""
+        slopes = np.concatenate([[0.0], np.diff(self.factors) / np.diff(self.times), [0.0]])
+        change = np.abs(np.diff(slopes))
+        return [float(t) for t in np.asarray(self.times)[change > ROUNDED * np.abs(slopes).max()]]
+
     def __call__(self, t: float) -> float:
         """Return the interpolated factor; factors (n,) for an array (n,), for example of temperatures."""
         found = np.interp(t, self.times, self.factors)
         return float(found) if np.ndim(found) == 0 else found  # type: ignore[return-value]
+
+
+def tables_of(declared: object) -> list[Table]:
+    """Return the tables among the schedules of a condition and of its tool."""
+    found = []
+    for part in (declared, getattr(declared, "tool", None)):
+        schedule = getattr(part, "schedule", None)
+        schedules = schedule if isinstance(schedule, Sequence) else [schedule]
+        found += [one for one in schedules if isinstance(one, Table)]
+    return found

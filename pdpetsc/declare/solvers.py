@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
@@ -9,6 +10,9 @@ from pdpetsc.declare.region import Region
 from pdpetsc.declare.steps import MOST_STEPS
 from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
 from pdpetsc.errors import CaseError
+
+# Rounding of a number of steps.
+ROUNDED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -379,6 +383,11 @@ class Implicit(DeclaredSolver):
                 f"Implicit goes from 0 to {self.end:g} in steps of {self.dt:g}; take at least 1 and at most "
                 f"{MOST_STEPS} steps."
             )
+
+    @property
+    def count(self) -> int:
+        """Return the number of time steps if none is shortened."""
+        return math.ceil(self.end / self.dt * (1.0 - ROUNDED))
 
     @property
     def conserving(self) -> bool:

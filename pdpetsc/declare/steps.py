@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
+
+import numpy as np
 
 from pdpetsc.declared import Count, Declared, Positive, shown
 from pdpetsc.errors import CaseError
@@ -120,6 +122,8 @@ class Steps(Declared):
 class AdaptiveSteps(Declared):
     """Load steps that grow by half after an easy step and are halved after a failure.
 
+    Steps also end at the times of the ``Table`` schedules of the conditions, so that no step passes over a peak.
+
     Parameters
     ----------
     first, smallest, largest : float
@@ -162,3 +166,12 @@ class AdaptiveSteps(Declared):
     def stops(self) -> list[float]:
         """Return the load parameters at which steps must end, ascending to 1."""
         return list(self.times) or [1.0]
+
+    def ending_at(self, times: Sequence[float]) -> AdaptiveSteps:
+        """Return these steps that also end at given load parameters between 0 and 1."""
+        ends, apart = np.array([0.0, *self.stops()]), 2.0 * LEAST_STEP
+        more: list[float] = []
+        for t in sorted(times):
+            if 0.0 < t < 1.0 and np.abs(ends - t).min() > apart and (not more or t - more[-1] > apart):
+                more.append(float(t))
+        return replace(self, times=tuple(sorted([*self.stops(), *more]))) if more else self

@@ -19,6 +19,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.running.crack_energy import missed_fracture_energy
 from pdpetsc.running.held import layer_notes, named, particles_of_point_supports, support_warnings
 from pdpetsc.running.notes import notes
+from pdpetsc.running.schedules import schedule_warnings
 from pdpetsc.running.suited import lame_ratio, locking_note, plastic_note
 from pdpetsc.running.suited import words as suited_words
 from pdpetsc.running.unbalanced_surface import unbalanced_areas
@@ -129,7 +130,11 @@ def _scheme(case: Case, problem: Problem, declared: Case, report: Report) -> dic
 
 def _notes(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     """Return the warnings about the reliability of the results."""
-    warnings = [*filter(None, [locking_note(case, problem)]), *support_warnings(case, problem)]
+    warnings = [
+        *filter(None, [locking_note(case, problem)]),
+        *support_warnings(case, problem),
+        *schedule_warnings(case),
+    ]
     for warning in warnings:
         report.warn(warning)
     found = notes(case, problem)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case, check_declared
+from pdpetsc.declare.schedule import tables_of
+from pdpetsc.declare.steps import AdaptiveSteps
 from pdpetsc.declare.supports import beyond_sides
 from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
@@ -196,7 +198,7 @@ def prepare(
     chosen = Options({**case.options, **(options or {})})
     with phases.timed("particles"):
         with agreed(ranks):
-            case = _with_supports(case)
+            case = _with_stops(_with_supports(case))
         chunk = make_chunk(ranks, case)
         case = with_suited_scheme(ranks, case, chunk)
         cloud = make_cloud(ranks, case, chunk)
@@ -220,6 +222,14 @@ def _with_supports(case: Case) -> Case:
     """Return the case with the layers and mirror planes that its supports add to a lattice."""
     particles, planes = beyond_sides(case.particles, case.conditions, case.chosen_horizon)
     return replace(case, particles=particles, symmetry=[*case.symmetry, *planes])
+
+
+def _with_stops(case: Case) -> Case:
+    """Return the case with adaptive steps that end at the times of its tables."""
+    if not isinstance(case.steps, AdaptiveSteps):
+        return case
+    times = [t for condition in case.conditions for table in tables_of(condition) for t in table.corners]
+    return replace(case, steps=case.steps.ending_at(times))
 
 
 def _of_all_ranks(case: Case) -> dict[str, Any]:

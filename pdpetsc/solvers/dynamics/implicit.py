@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.solvers import Implicit
+from pdpetsc.declare.solvers import ROUNDED, Implicit
 from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import SolveError
@@ -33,8 +33,6 @@ from pdpetsc.solvers.load_steps import equilibrium, load_steps
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 
-# Rounding of a number of steps.
-ROUNDED = 1e-9
 # Smallest time step over the largest one, if the error decides.
 LEAST = 1e-4
 # Name of the largest displacement in a checkpoint [length].
@@ -73,7 +71,7 @@ class ImplicitSolver(TimeStepSolver):
     advice = "take a shorter dt, look for zero-energy modes, or try -snes_linesearch_type basic or -snes_rtol 1e-8"
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], declared: Implicit) -> None:
-        count = math.ceil(declared.end / declared.dt * (1.0 - ROUNDED))
+        count = declared.count
         steps: Steps | AdaptiveSteps = Steps(count)
         if declared.error is not None:
             steps = AdaptiveSteps(first=1.0 / count, smallest=max(LEAST / count, LEAST_STEP), largest=1.0 / count)

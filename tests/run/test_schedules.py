@@ -1,0 +1,65 @@
+"""Tables of which the steps of a run see a part only."""
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.running.schedules import schedule_warnings
+
+PEAK = pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])
+PULSE = pd.Table([0.0, 0.01, 0.02, 0.03, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0])
+LAW = pd.LinearElastic(100.0, 0.0, density=1.0)
+
+
+def bar(*conditions, **changes):
+    return pd.Case(pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.5), material=LAW, conditions=conditions, **changes)
+
+
+def pulled(schedule, **changes):
+    history = {"u": pd.Mean(pd.displacement, "x", pd.region.Face("+x"))}
+    return bar(pd.Clamp("-x"), pd.Displacement("+x", x=1.0, schedule=schedule), history=history, **changes)
+
+
+def test_adaptive_steps_end_at_the_times_of_tables(tmp_path):
+    """Times on a line between their neighbours and those beyond the run are none; declared times stay."""
+    found = pd.run(pulled(PEAK, steps=pd.AdaptiveSteps()), tmp_path / "peak").history
+    assert found["u"].max() == pytest.approx(1.0, rel=1e-6)
+    table = pd.Table([0.0, 0.13, 0.27, 0.4, 0.81 + 1e-9, 2.0], [0.0, 0.13, 0.27, 0.5, 0.0, 0.0])
+    tool = pd.RigidPlane((0.0, 1.1), (0.0, -1.0), move=(0.0, -0.01), schedule=[pd.Ramp(), PEAK])
+    case = pulled(table, steps=pd.AdaptiveSteps(largest=1.0, times=(0.81, 1.0)))
+    case = pd.prepare(bar(*case.conditions, pd.Contact("+y", tool), steps=case.steps)).case
+    assert case.steps.stops() == [0.27, 0.4, 0.5, 0.81, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("schedule", "steps", "told"),
+    [
+        (PEAK, pd.Steps(1), "the factor 1 at load parameter 0.5, between two steps"),
+        (PEAK, pd.Steps(3), "it is at most 0.6667. End a step there"),
+        (PEAK, pd.Steps(times=(0.5, 1.0)), ""),
+        (PEAK, pd.Steps(8), ""),
+        (PEAK, pd.AdaptiveSteps(), ""),
+        (pd.Table([0.0, 0.5, 1.0], [0.0, -1.0, 0.5]), pd.Steps(3), "the factor -1 at load parameter 0.5"),
+        (pd.Table([0.0, 0.3, 1.0], [1.0, 1.005, 0.0]), pd.Steps(1), ""),
+        (pd.Table([0.0, 0.3, 1.0], [0.0, 0.9, 1.0]), pd.Steps(1), ""),
+        (pd.Table([0.0, 1.0, 2.0], [0.0, 1.0, 1.0]), pd.Steps(1), ""),
+    ],
+)
+def test_a_peak_between_load_steps_is_told(schedule, steps, told):
+    case = pulled(schedule, steps=steps)
+    found = schedule_warnings(pd.prepare(case).case)
+    assert len(found) == bool(told)
+    assert all(f"The schedule of Displacement condition 2 has {told}" in one or told in one for one in found)
+
+
+def test_a_pulse_between_time_steps_is_told(tmp_path):
+    """Velocities are integrated over the steps, and the time steps of Explicit are short."""
+    pulse = pd.Traction("+x", x=1.0, schedule=PULSE)
+    found = pd.run(bar(pd.Clamp("-x"), pulse, solver=pd.Implicit(dt=0.1, end=1.0)), tmp_path)
+    (told,) = [one for one in found.summary["notes"] if "Traction condition 2" in one]
+    assert "the factor 1 at load parameter 0.02, between two steps" in told and told.endswith("Take a shorter dt.")
+    assert np.abs(found.field("displacement")).max() == 0.0
+    for solver in (pd.Implicit(dt=0.01, end=1.0), pd.Explicit(end=1.0)):
+        assert schedule_warnings(bar(pd.Clamp("-x"), pulse, solver=solver)) == []
+    driven = pd.Velocity("+x", x=1.0, schedule=PULSE)
+    assert schedule_warnings(bar(driven, solver=pd.Implicit(dt=0.1, end=1.0))) == []

@@ -10,10 +10,12 @@ from pdpetsc.declare.steps import Steps
 
 # A peak is missed if its height over the factors at the ends of the steps exceeds this share of the largest factor.
 MISSED = 0.01
+# Rounding of load parameters and factors.
+ROUNDED = 1e-9
 
 
 def schedule_warnings(case: Case) -> list[str]:
-    """Return the warnings about tables with peaks between the steps.
+    """Return the warnings about tables with peaks between the steps, or with times beyond the end of the run.
 
     Solvers that find the load do not follow schedules. The time steps of ``Explicit`` are not known before the run.
 
@@ -29,11 +31,24 @@ def schedule_warnings(case: Case) -> list[str]:
     for number, condition in enumerate(case.conditions, 1):
         name = condition_name(condition, number)
         for table in tables_of(condition):
+            warnings = [_beyond(name, table, case.duration)]
             # A prescribed velocity or acceleration is integrated over the whole step.
             if not isinstance(case.solver, Explicit) and not isinstance(condition, DrivenMotion):
-                warning = _missed(name, table, steps.stops(), implicit)
-                found += [warning] if warning and warning not in found else []
+                warnings.append(_missed(name, table, steps.stops(), implicit))
+            found += [warning for warning in warnings if warning and warning not in found]
     return found
+
+
+def _beyond(name: str, table: Table, duration: float) -> str:
+    """Return the warning about factors after load parameter 1 that differ from the factor there, if there are any."""
+    end, last, rounded = table(1.0), float(table.times[-1]), ROUNDED * max(map(abs, table.factors))
+    if all(t <= 1.0 or abs(f - end) <= rounded for t, f in zip(table.times, table.factors, strict=True)):
+        return ""
+    return (
+        f"The schedule of {name} has times up to {last:.6g}, and a run ends at load parameter 1, at the factor "
+        f"{end:.4g} of this table. Divide times that are no load parameters by "
+        f"{last if duration == 1.0 else duration:.6g}."
+    )
 
 
 def _missed(name: str, table: Table, stops: list[float], implicit: bool) -> str:

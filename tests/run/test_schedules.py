@@ -63,3 +63,24 @@ def test_a_pulse_between_time_steps_is_told(tmp_path):
         assert schedule_warnings(bar(pd.Clamp("-x"), pulse, solver=solver)) == []
     driven = pd.Velocity("+x", x=1.0, schedule=PULSE)
     assert schedule_warnings(bar(driven, solver=pd.Implicit(dt=0.1, end=1.0))) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "changes", "words"),
+    [
+        (([0.0, 10.0], [0.0, 1.0]), {}, ["up to 10", "at the factor 0.1 of", "by 10."]),
+        (([0.0, 2e-3, 4e-3, 3.0], [0.0, 1.0, 0.0, 0.2]), {"solver": pd.Explicit(end=0.5)}, ["up to 3", "by 0.5."]),
+        (([0.0, 1.0, 2.0], [0.0, 1.0, 1.0]), {}, []),
+        (([0.0, 1.0 + 1e-12], [0.0, 1.0]), {}, []),
+    ],
+)
+def test_a_table_that_ends_after_the_run_is_told(table, changes, words):
+    table = pd.Table(*table)
+    case = bar(pd.Clamp("-x"), pd.Traction("+x", x=1.0, schedule=table), **changes)
+    found = schedule_warnings(case)
+    assert len(found) == bool(words)
+    assert all("The schedule of Traction condition 2" in one and all(word in one for word in words) for one in found)
+    tool = pd.RigidPlane((0.0, 1.1), (0.0, -1.0), move=(0.0, -0.01), schedule=table)
+    assert len(schedule_warnings(bar(pd.Contact("+y", tool), **changes))) == bool(words)
+    softer = pd.Thermal(LAW, 1e-5, factor=pd.Table([0.0, 100.0], [1.0, 0.8]))
+    assert schedule_warnings(pd.Case(case.particles, material=softer, conditions=[pd.Clamp("-x")])) == []

@@ -14,7 +14,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.region import All, Nearest, Region, accept_region_name
 from pdpetsc.declare.solvers import Opening
 from pdpetsc.declared import Declared, name_of, numbers_from
-from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.communicator import agreed, smallest
 from pdpetsc.errors import CaseError
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.solution import (
@@ -35,8 +35,12 @@ from pdpetsc.post.solution import (
     temperature,
 )
 from pdpetsc.problem.inertia import Inertia
+from pdpetsc.problem.scales import nearest_distances
 
 EVERYWHERE = All()
+# A point is outside of the body if the nearest particle is further away than this share of its horizon, and than this
+# multiple of the distance to its nearest neighbour. Corners of cells, also of long ones, are nearer.
+OUTSIDE, OUTSIDE_SPACINGS = 0.5, 1.5
 
 
 class _Known(NamedTuple):
@@ -203,15 +207,44 @@ class PathOpening(Quantity):
         return moved[0] - sum(moved[1:])
 
 
+@dataclass(frozen=True)
+class _AtPoint(Mean):
+    """The mean over the particles nearest to a point, which must lie in the body."""
+
+    def evaluate(self, solution: Solution) -> float:
+        self._refuse_outside(solution)
+        return super().evaluate(solution)
+
+    def _refuse_outside(self, solution: Solution) -> None:
+        """Raise CaseError on all ranks if the point is further from the nearest particle than ``At`` allows."""
+        assert isinstance(self.region, Nearest)
+        comm, chosen = solution.cloud.comm, solution.select(self.region)
+        point = np.atleast_1d(np.asarray(self.region.point, dtype=float))
+        distance = smallest(comm, float(np.linalg.norm(solution.x[chosen] - point, axis=1).min(initial=np.inf)))
+        horizon = smallest(comm, float(solution.cloud.local_horizon[: len(chosen)][chosen].min(initial=np.inf)))
+        if distance <= OUTSIDE * horizon:
+            return
+        spacing = smallest(comm, float(nearest_distances(solution.problem.body)[chosen].min(initial=np.inf)))
+        if distance > OUTSIDE_SPACINGS * spacing:
+            raise CaseError(
+                f"The point ({', '.join(f'{one:g}' for one in point)}) of At is not in the body: the nearest particle "
+                f"is {distance:.4g} away, and its nearest neighbour {spacing:.4g} from it. Correct the point, or take "
+                f"Mean over pd.region.Nearest."
+            )
+
+
 def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
     """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones).
+
+    A run refuses a point that is further from the nearest particle than half its horizon, and than one and a half times
+    the distance from there to its own nearest neighbour.
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> tip = pd.At((10.0, 1.0), pd.displacement, "y")
     """
-    return Mean(field, component, Nearest(point))
+    return _AtPoint(field, component, Nearest(point))
 
 
 @dataclass(frozen=True)

@@ -245,6 +245,25 @@ def test_displacements_follow_numbers_schedules_and_functions():
     assert supports.fixed.sum() == 6 * 3
 
 
+@pytest.mark.parametrize(
+    ("point", "inside"),
+    [((4.0, 1.0), True), ((2.7, 0.5), True), ((2.0, 0.5), False), ((5.0, 1.0), False), ((4.0, 4000.0), False)],
+)
+def test_a_point_outside_of_the_body_is_refused(point, inside, tmp_path):
+    """Corners and the rim of a hole are in the body, its middle is not."""
+    lattice = pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.125, cut=region.Sphere((2.0, 0.5), 0.3))
+    case = pd.Case(
+        lattice, material=pd.LinearElastic(1.0, 0.0), conditions=[pd.Clamp("-x"), pd.Traction("+x", x=0.1)],
+        history={"u": pd.At(point, pd.displacement, "x")},
+    )  # fmt: skip
+    if inside:
+        assert pd.run(case, tmp_path).history["u"][-1] > 0.0
+        return
+    with pytest.raises(pd.CaseError, match="of At is not in the body: the nearest particle is"):
+        pd.run(case, tmp_path)
+    assert not any(tmp_path.iterdir())
+
+
 def test_quantities_of_interest():
     *_, problem = loaded(
         [pd.Displacement(region.Slab("x", high=0.5), x=0.0, y=0.0)], material=pd.LinearElastic(E=10.0, nu=0.0)

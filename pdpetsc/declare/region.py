@@ -278,13 +278,14 @@ class Face(Region):
         if self.of and whole in view.sets:  # a set may have such a name
             return view.sets[whole]
         among = Named(self.of).mask(view) if self.of else np.ones(len(view.x), dtype=bool)
-        layers = view.sets.get(f"fictitious {self.side}")
-        if layers is not None and view.normal is None and view.minimum(-float((layers & among).any())) < 0.0:
-            return np.asarray(layers & among)
         sign = 1.0 if self.side[0] == "+" else -1.0
         along = sign * view.x[:, self.axis]
         furthest = -view.minimum(float((-along[among]).min(initial=np.inf)))
         nearest = view.minimum(float(along[among].min(initial=np.inf)))
+        layers = view.sets.get(f"fictitious {self.side}")
+        # Every rank takes the same minima, also one that owns no particle of the layers.
+        if layers is not None and view.normal is None and view.minimum(-float((layers & among).any())) < 0.0:
+            return np.asarray(layers & among)
         found = np.asarray(among & (along >= furthest - ON_FACE * (furthest - nearest)))
         if view.normal is not None:
             found &= sign * view.normal[:, self.axis] >= (1.0 - ON_FACE) * np.linalg.norm(view.normal, axis=1)

@@ -14,6 +14,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.material_points import MaterialPoints
+from tests.commands import script_on
 
 region = pd.region
 
@@ -262,6 +263,29 @@ def test_a_point_outside_of_the_body_is_refused(point, inside, tmp_path):
     with pytest.raises(pd.CaseError, match="of At is not in the body: the nearest particle is"):
         pd.run(case, tmp_path)
     assert not any(tmp_path.iterdir())
+
+
+RANKS = """
+import sys
+import pdpetsc as pd
+for x in (4.0, 5.0):
+    case = pd.Case(
+        pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.125), material=pd.LinearElastic(1.0, 0.0),
+        conditions=[pd.Clamp("-x"), pd.Traction("+x", x=0.1)], history={"u": pd.At((x, 1.0), pd.displacement, "x")},
+    )
+    try:
+        print(f"found {pd.run(case, sys.argv[1]).history['u'][-1]:.6f}")
+    except pd.CaseError as error:
+        print(f"found {error}")
+"""
+
+
+def test_ranks_that_own_no_particle_of_a_layer_or_near_a_point(tmp_path):
+    """A clamped side and a corner, each on one of two ranks."""
+    lines = script_on(2, RANKS, tmp_path).splitlines()
+    first, second = [line for line in lines if line.startswith("found")][:2]
+    assert 0.38 < float(first.split()[1]) < 0.42
+    assert "of At is not in the body" in second
 
 
 def test_quantities_of_interest():

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import bounds
 from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.integrands import integrands_of, range_on_ranks
 from pdpetsc.post.solution import Solution, local_horizon
@@ -254,5 +255,5 @@ def turned_by_place(solution: Solution, inside: Mask) -> bool:
 
     Equal on all ranks (collective).
     """
-    low, high = range_on_ranks(solution, integrands_of(solution).directions()[inside])
-    return bool(high > low)
+    low, high = bounds(solution.cloud.comm, integrands_of(solution).directions()[inside])
+    return bool(np.any(high > low))

@@ -83,8 +83,8 @@ class Integrands(ABC):
         return LinearElastic(law.E, law.nu, law.plane) if isinstance(law, IsotropicMaterial) else None
 
     def directions(self) -> Float:
-        """Return a number (n_owned,) that differs between particles whose laws have different axes (not collective)."""
-        return np.zeros(len(self.solution.x))
+        """Return numbers (n_owned, n) that differ between particles whose laws have different axes (not collective)."""
+        return np.zeros((len(self.solution.x), 0))
 
     def strain_of_body(self, expansion: FreeDeformation) -> Float:
         """Return the effective eigenstrain of the body (n_owned, 3, 3) [-] (not collective)."""
@@ -185,14 +185,12 @@ class OfPoints(Integrands):
         return thermal.material_at(self.solution.largest(temperature[inside]), law)
 
     def directions(self) -> Float:
-        """Return a number that combines position-dependent constants of laws without history, as fibre directions."""
-        number = np.zeros(len(self.solution.x))
-        for one in self.term.materials:
-            if not one.has_history and one.history.shape[1]:
-                # Any numbers that differ are sufficient.
-                weights = np.arange(1.0, 1.0 + one.history.shape[1])
-                number[self.term.operator.owner[one.points]] = one.history @ weights
-        return number
+        """Return position-dependent constants of laws without history, as fibre directions."""
+        placed = [one for one in self.term.materials if not one.has_history]
+        numbers = np.zeros((len(self.solution.x), max((one.history.shape[1] for one in placed), default=0)))
+        for one in placed:
+            numbers[self.term.operator.owner[one.points], : one.history.shape[1]] = one.history
+        return numbers
 
     def slopes(self, values: Float) -> Float:
         """Return the means of the slopes at the points of each particle."""

@@ -9,6 +9,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.post.fracture import plane_modulus, westergaard
 from tests.commands import ROOT, results, script_on
+from tests.material.test_hyperelastic import reinforced
 
 sys.path.append(str(ROOT / "runs" / "fracture"))
 import centre_crack
@@ -261,6 +262,18 @@ def test_factors_are_refused_beyond_small_strain():
     fibres = pd.Orthotropic((3.0, 2.0, 1.0), (0.1, 0.1, 0.1), (1.0, 1.0, 1.0))
     with pytest.raises(pd.CaseError, match="not isotropic; take a JIntegral"):
         pd.StressIntensity(**WHERE).evaluate(body(material=fibres).solution())
+
+
+@pytest.mark.parametrize("other", [(-0.6, 0.8), (1.0, 0.0)])
+def test_fibres_that_turn_from_place_to_place_are_refused(other):
+    """The sums of the components of the directions, the first once and the second twice, are equal."""
+    law = reinforced(lambda x: np.where(x[:, :1] < 0.0, (1.0, 0.0), other))
+    solution = body(material=law).solution()
+    if other == (1.0, 0.0):
+        assert pd.JIntegral(**WHERE).evaluate(solution) == 0.0
+        return
+    with pytest.raises(pd.CaseError, match="axes change from place to place"):
+        pd.JIntegral(**WHERE).evaluate(solution)
 
 
 def test_expansion_is_part_of_the_integrals():

@@ -15,7 +15,7 @@ import scipy
 from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region, accept_region_name
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
-from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
+from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from, shown
 from pdpetsc.errors import CaseError, SolveError
 
 # Panels between the times of a schedule and points in each for integrals over time: velocities that are polynomials of
@@ -556,16 +556,19 @@ def Pressure(
     -2.0
     >>> hole = pd.Pressure(pd.region.Named("hole"), 2.0)
     """
-    if not len(normal) and distribution in (None, "surface"):
+    if np.size(normal) == 0 and distribution in (None, "surface"):
         if area is not None:
             raise _has_area("Pressure")
         return SurfacePressure(region, value, schedule)
     if callable(value):
         raise CaseError("A Pressure that is a function acts on the surface; leave its normal out.")
-    n = np.asarray(normal, dtype=float)
+    try:
+        n = np.asarray(normal, dtype=float)
+    except (TypeError, ValueError):
+        n = np.zeros(0)
     length = float(np.linalg.norm(n))
-    if not (length > 0.0 and math.isfinite(length)):
-        raise CaseError(f"A Pressure needs an outward normal, not {list(np.ravel(n))}.")
+    if n.ndim != 1 or len(n) > 3 or not (length > 0.0 and math.isfinite(length)):
+        raise CaseError(f"A Pressure needs an outward normal of up to three numbers, not {shown(normal)}.")
     x, y, z = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
     return Traction(region, x, y, z, schedule, normal=tuple(normal), distribution=distribution, area=area)
 

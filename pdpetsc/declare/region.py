@@ -327,6 +327,13 @@ class Named(Region):
 
     def mask(self, view: View) -> Mask:
         if self.name not in view.sets:
+            side = region_of_name(self.name)
+            if isinstance(side, Face) and (not side.of or side.of in view.sets):
+                of = f", {side.of!r}" if side.of else ""
+                raise CaseError(
+                    f"There is no set {self.name!r}, which is the name of a side. Write {self.name!r} or "
+                    f"pd.region.Face({side.side!r}{of}) instead of pd.region.Named({self.name!r})."
+                )
             sides = ", ".join(repr(side) for side in SIDES[: 2 * view.x.shape[1]])
             raise CaseError(
                 f"There is no set {self.name!r}; the particles have {sorted(view.sets) or 'no sets'}, and the sides "

@@ -240,7 +240,9 @@ def in_space(field: Field) -> Field:
 
     Other fields are returned unchanged.
     """
-    across = _ACROSS.get(getattr(field, "__wrapped__", field))
+    inner = getattr(field, "__wrapped__", field)
+    # A field of the user may not be hashable.
+    across = next((number for known, number in _ACROSS.items() if known is inner), None)
     if across is None:
         return field
 

@@ -193,6 +193,16 @@ def test_regions_combine():
         region.Named("b").mask(view(x, a=np.zeros(4, bool)))
 
 
+@pytest.mark.parametrize(("name", "face"), [("a +y", "'+y', 'a'"), ("-x", "'-x'")])
+def test_a_side_is_no_set(name, face):
+    x = np.zeros((2, 2))
+    with pytest.raises(pd.CaseError, match="the name of a side") as refused:
+        region.Named(name).mask(view(x, a=np.ones(2, dtype=bool)))
+    assert f"pd.region.Face({face}) instead" in str(refused.value)
+    with pytest.raises(pd.CaseError, match=r"no set 'b \+y'; the particles have \['a'\]"):
+        region.Named("b +y").mask(view(x, a=np.ones(2, dtype=bool)))
+
+
 @pytest.mark.parametrize("name", ["Constant", "Linear", "Cubic", "Gaussian"])
 def test_influence_starts_at_one_and_does_not_grow(name):
     s = np.linspace(0.0, 1.0, 101)

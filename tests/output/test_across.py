@@ -89,3 +89,15 @@ def test_a_field_under_another_name_is_the_same_field(tmp_path):
     with h5py.File(tmp_path / "named" / "fields.h5") as file:
         named = np.asarray(file["step_00001/sigma"]).mean(axis=0).reshape(3, 3)
     assert np.array_equal(named, plain)
+
+
+def test_a_field_that_cannot_be_hashed_is_written(tmp_path):
+    class Twice:
+        __hash__ = None
+
+        def __call__(self, solution):
+            return 2.0 * pd.displacement(solution)
+
+    case = dataclasses.replace(stretched(2, pd.LinearElastic(E=E, nu=NU)), fields={"twice": Twice()})
+    found = pd.run(case, tmp_path).field("twice")
+    assert np.abs(found).max() == pytest.approx(2.0 * STRAIN * 1.875)

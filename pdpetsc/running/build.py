@@ -458,13 +458,13 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
             raise CaseError("BulkViscosity is for Explicit. Implicit steps damp shocks by their radius; leave it out.")
         if case.of_bonds:
             raise CaseError("BulkViscosity needs deformation gradients, which a bond-based body does not have.")
-        A = _elastic_moduli(materials, cloud.dim)[:, 0, 0, 0, 0]
+        A = elastic_moduli(materials, cloud.dim)[:, 0, 0, 0, 0]
         factor = 1.0 if materials.factor is None else materials.factor
         inertia.viscosity = ViscousPressure(applied.viscosity, problem, density, factor * A[materials.index])
     return inertia
 
 
-def _elastic_moduli(materials: OfParticles, dim: int) -> Float:
+def elastic_moduli(materials: OfParticles, dim: int) -> Float:
     """Return the moduli of each undeformed material (n_materials, dim, dim, dim, dim) [stress]."""
     laws = [one.elastic(dim) if isinstance(one, BondMaterial) else one for one in materials.materials]
     return np.stack([law.moduli(dim) for law in laws])
@@ -480,7 +480,7 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
     area, owner = surface.area[mask], surface.owner[mask]
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]
-    A = _elastic_moduli(materials, dim)[materials.index[owner]]
+    A = elastic_moduli(materials, dim)[materials.index[owner]]
     factor = np.ones(len(density)) if materials.factor is None else materials.factor
     Q = (factor * density)[owner, None, None] * np.einsum("fimkn,fm,fn->fik", A, normal, normal)
     squares, axes = np.linalg.eigh(Q)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.declare.solvers import Implicit
+from pdpetsc.discrete.communicator import agreed, bounds, largest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import materials_of
+from pdpetsc.running.build import elastic_moduli, materials_of
 from pdpetsc.running.held import held_load_note, no_load_note
 from pdpetsc.running.thin import thin_note
 
@@ -42,7 +44,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
     -----
     Collective.
     """
-    checks = (staircase_note, interface_note, jump_note, thin_note, held_load_note, no_load_note)
+    checks = (staircase_note, interface_note, jump_note, wave_note, thin_note, held_load_note, no_load_note)
     found = [note_of(case, problem) for note_of in checks]
     return [note for note in found if note]
 
@@ -121,4 +123,26 @@ def jump_note(case: Case, problem: Problem) -> str:
         f"a load jumps at the start of the first step of {first:.4g}, in which the material relaxes: stress is off by "
         f"{100.0 * lost:.2g} %; use short first steps, steps=pd.Steps(times=({0.01 * first:.3g}, {0.1 * first:.3g}, "
         f"{first:.3g}, ..., 1.0))"
+    )
+
+
+def wave_note(case: Case, problem: Problem) -> str:
+    """Return the note on time steps in which a wave crosses the whole body, if it applies (collective)."""
+    solver, cloud = case.solver, problem.body.cloud
+    if not isinstance(solver, Implicit) or solver.error is not None:
+        return ""
+    n, materials = cloud.n_owned, materials_of(case, cloud)
+    with agreed(cloud.comm):
+        stiffness = np.einsum("miiii->mi", elastic_moduli(materials, problem.dim)).max(axis=1)
+        density = np.array([law.density for law in materials.materials], dtype=float)
+    factor = np.ones(n) if materials.factor is None else materials.factor
+    fastest = largest(cloud.comm, float((factor * (stiffness / density)[materials.index]).max(initial=0.0)))
+    low, high = bounds(cloud.comm, cloud.x[:n])
+    crossing = float((high - low).max()) / math.sqrt(fastest)
+    if solver.dt <= crossing:
+        return ""
+    return (
+        f"a time step of {solver.dt:.4g} is longer than the {crossing:.3g} in which a wave crosses the body: "
+        "vibrations are not resolved; take a much shorter dt for them, or a radius below 1, which damps them, for slow "
+        "motions"
     )

@@ -10,6 +10,7 @@ import scipy
 import pdpetsc as pd
 from pdpetsc.declare import region
 from pdpetsc.problem.fragments import fragments_of
+from pdpetsc.running.notes import wave_note
 from pdpetsc.solvers.dynamics import stable_step
 from tests.commands import Stop, results, script_on
 
@@ -70,6 +71,29 @@ def errors(solvers, tmp_path):
 
 
 PERIOD = 4.0 * LENGTH / SPEED
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+@pytest.mark.parametrize("law", ["points", "bonds", "graded"])
+def test_a_step_in_which_a_wave_crosses_the_body_is_told(law, dim):
+    """Stiffness 4 times that of the law beyond the middle: the wave is twice as fast."""
+    E, density = 3.0, 0.5
+    material = pd.LinearElastic(E, 0.0, "stress", density=density)
+    if law == "bonds":
+        material = pd.BondBased(E, plane="stress", density=density)
+    if law == "graded":
+        material = pd.Graded(material, lambda x: np.where(x[:, 0] > 1.0, 4.0, 1.0))
+    lattice = pd.LatticeNodes((0.0, 0.0)[:dim], (2.0, 1.0)[:dim], 0.25)
+    # With nu = 1/3 a plate of bonds has the modulus E / (1 - nu^2).
+    stiffness = {"points": E, "bonds": E / (1.0 - 1.0 / 9.0) if dim == 2 else E, "graded": 4.0 * E}[law]
+    crossing = 2.0 / np.sqrt(stiffness / density)
+
+    def note(dt, **given):
+        return wave_note(case := pd.Case(lattice, material=material, solver=pd.Implicit(dt, 100.0, **given)),
+                         pd.prepare(case).problem)  # fmt: skip
+
+    assert note(0.99 * crossing) == "" == note(1.01 * crossing, error=1e-3)
+    assert note(1.01 * crossing).startswith("a time step of")
 
 
 @pytest.mark.parametrize(

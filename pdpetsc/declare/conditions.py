@@ -266,7 +266,9 @@ class Velocity(DrivenMotion):
 class Acceleration(DrivenMotion):
     """Prescribed acceleration of a region in a motion (``Implicit``, ``Explicit``), which is at rest before t = 0.
 
-    The displacement is the double integral of the acceleration over time, so that it does not drift.
+    The displacement is the double integral of the acceleration over time, so that it does not drift. The region has no
+    inertia: ``Reaction`` and ``ExternalWork`` contain the force and work of the rest of the body, not those that
+    accelerate the region itself.
 
     Parameters
     ----------

@@ -251,6 +251,8 @@ def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
 class Reaction(Quantity):
     """Sum of one component of the support forces in a region [force].
 
+    Prescribed particles have no inertia: in a motion the sum does not contain the force ``m a`` that accelerates them.
+
     Parameters
     ----------
     component : str
@@ -418,6 +420,9 @@ class ControlEnergy(Quantity):
 class KineticEnergy(Quantity):
     """Kinetic energy of a motion, ``sum m v^2 / 2`` [energy], with that of rigid bodies.
 
+    The sum contains prescribed particles, although they have no inertia: no support does the work that accelerates
+    them, and ``ExternalWork`` does not contain it.
+
     Examples
     --------
     >>> import pdpetsc as pd
@@ -466,8 +471,9 @@ def inertia_of(solution: Solution, quantity: object) -> Inertia:
 class ExternalWork(Quantity):
     """Work of loads, supports and moving tools since the undeformed state [energy], by the trapezoidal rule over steps.
 
-    That of a rigid body with mass in a motion is the work of its load. Along a path, it includes all equilibria within
-    a step while bonds break.
+    That of a rigid body with mass in a motion is the work of its load. Prescribed particles have no inertia: the work
+    of their supports does not contain the change of their ``KineticEnergy``. Along a path, the work includes all
+    equilibria within a step while bonds break.
 
     Examples
     --------

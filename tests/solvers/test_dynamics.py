@@ -928,3 +928,18 @@ def test_damping_by_gradients_is_refused_in_a_cell(damping, tmp_path):
     )  # fmt: skip
     with pytest.raises(pd.CaseError, match="do not go with a periodic cell"):
         pd.run(case, tmp_path)
+
+
+def test_prescribed_particles_have_kinetic_energy_without_work(tmp_path):
+    """Seven eighths of a mass of 2 are driven to the velocity 10: work and reaction are those of the last eighth."""
+    case = pd.Case(
+        pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.25),
+        material=pd.LinearElastic(1e4, 0.0, density=1.0),
+        conditions=[pd.Acceleration(region.Slab("x", high=1.8), x=10.0, y=0.0)],
+        solver=pd.Implicit(dt=0.01, end=1.0),
+        history={"kinetic": pd.KineticEnergy(), "work": pd.ExternalWork(), "force": pd.Reaction("x")},
+    )
+    found = pd.run(case, tmp_path).history
+    assert found["kinetic"][-1] == pytest.approx(100.0, rel=0.01)
+    assert found["work"][-1] == pytest.approx(12.5, rel=0.01)
+    assert found["force"].mean() == pytest.approx(2.5, rel=0.02)

@@ -76,10 +76,10 @@ class Table(Declared):
 
     @property
     def corners(self) -> list[float]:
-        """Return the times at which the slope changes, ascending [-]."""
+        """Return the times at which the factor begins or ceases to rise or to fall, ascending [-]."""
         slopes = np.concatenate([[0.0], np.diff(self.factors) / np.diff(self.times), [0.0]])
-        change = np.abs(np.diff(slopes))
-        return [float(t) for t in np.asarray(self.times)[change > ROUNDED * np.abs(slopes).max()]]
+        direction = np.where(np.abs(slopes) > ROUNDED * np.abs(slopes).max(), np.sign(slopes), 0.0)
+        return [float(t) for t in np.asarray(self.times)[np.diff(direction) != 0.0]]
 
     def __call__(self, t: float) -> float:
         """Return the interpolated factor; factors (n,) for an array (n,), for example of temperatures."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,9 @@ from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Finite, Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
+
+# Components of a direction below this share of its length are rounding.
+ROUNDED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ class RigidPlane(RigidTool):
 
     def uniform_along(self, axis: int) -> bool:
         """Return True for axes in the plane."""
-        return self.normal[axis] == 0.0
+        return abs(self.normal[axis]) <= ROUNDED * math.hypot(*self.normal)
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute ``n . (x - point) + n . u``."""
@@ -277,7 +281,8 @@ class RigidCylinder(RigidTool):
 
     def uniform_along(self, axis: int) -> bool:
         """Return True for the axis of the cylinder."""
-        return not np.any(np.delete(np.asarray(self.axis, dtype=float), axis))
+        across = np.delete(np.asarray(self.axis, dtype=float), axis)
+        return float(np.linalg.norm(across)) <= ROUNDED * math.hypot(*self.axis)
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute the distance from the axis less the radius, or its negative if the body is inside."""

@@ -66,9 +66,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     GMRES is preconditioned from the right, so that its tolerance is that of the forces. From the left it would accept
     steps that leave the stiff forces of contact unbalanced.
 
-    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration. Its factor is kept
-    where it need not count pivots (``KeptFactor``), as preconditioner of FGMRES. A step of 30 iterations counts like
-    that of a factor.
+    If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
 
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Behind a
     limit of the load the tangent is indefinite. MINRES solves it with the positive definite preconditioner of two
@@ -100,11 +98,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         if problem.symmetric and problem.body.cloud.comm.size > 1:
             # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
-        if problem.damage is not None:
-            defaults["mat_mumps_icntl_24"] = 1
-            if not problem.coupled:
-                defaults |= {"ksp_type": "fgmres", "ksp_rtol": 1e-12, "ksp_max_it": 30, "ksp_converged_maxits": None}
-        return defaults
+        return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     defaults["ksp_divtol"] = GROWN
     if (choice.ksp or defaults["ksp_type"]) == "gmres":

@@ -15,7 +15,6 @@ from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.constrained import Constrained
-from pdpetsc.petsc.kept_factor import KeptFactor
 from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
 from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
 from pdpetsc.petsc.tangent import PetscTangent
@@ -181,8 +180,7 @@ def matrices(choice: Choice) -> str:
 
 
 def _assembled(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
-    matrix, problem = TangentMatrix(filler, fixed, scale), filler.problem
-    return KeptFactor(matrix, problem, scale) if problem.damage is not None and not problem.coupled else matrix
+    return TangentMatrix(filler, fixed, scale)
 
 
 def _by_nearest_neighbours(filler: Any, fixed: Mask, scale: float) -> PetscTangent:

@@ -111,14 +111,14 @@ def refactors(snes: PETSc.SNES) -> bool:
     return snes.getType() in NEWTON
 
 
-def negative_pivots(ksp: PETSc.KSP) -> int | None:
+def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
     """Count the negative pivots of a factored symmetric matrix, which equal its negative eigenvalues.
 
-    None if the linear solver has no such factor, or if its package does not count pivots or has shifted them
-    (collective).
+    None if the linear solver has no factor of the symmetric ``mat`` itself, or if its package does not count pivots or
+    has shifted them (collective).
     """
     pc = ksp.getPC()
-    if pc.getType() != "cholesky" or set_up_failed(ksp):
+    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0 or pc.getOperators()[1].handle != mat.handle:
         return None
     reused, shift = ctypes.c_int(0), ctypes.c_int(0)
     _check(_library().PCGetReusePreconditioner(ctypes.c_void_p(pc.handle), ctypes.byref(reused)))

@@ -50,8 +50,6 @@ class TangentMatrix(PetscTangent):
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    exact = True
-
     def __init__(self, assembler: Assembler, fixed: Mask, scale: float) -> None:
         self._scale = scale
         self._fixed = fixed.ravel()

@@ -87,7 +87,7 @@ class MatrixFreeTangent(PetscTangent):
         self._rebuilds = problem.rebuilds
         self._made_from = preconditioning
         self.preconditioner, self.diagonal = preconditioning.mat, preconditioning.diagonal
-        self._product = Product(problem.supports, scale)
+        self._product = _Product(problem.supports, scale)
         sizes = self.preconditioner.getSizes()
         self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=problem.body.cloud.comm)
         if problem.symmetric:
@@ -207,7 +207,7 @@ class NearMatrix(Preconditioning):
         self._matrix.destroy()
 
 
-class Product:
+class _Product:
     """Apply ``C^T K C`` to a vector, with the rows of prescribed and tied degrees of freedom."""
 
     def __init__(self, supports: Supports, scale: float) -> None:

@@ -48,9 +48,7 @@ def mechanism(tangent: PetscTangent, ksp: PETSc.KSP, free: Mask, scale: float) -
     """
     ksp.setOperators(tangent.mat, tangent.preconditioner)
     if not set_up_failed(ksp):
-        pc = ksp.getPC()
-        factored = tangent.exact and pc.getType() in ("lu", "cholesky")
-        found = _unresisted(tangent, free, scale, "preonly" if factored else "fcg", pc, MOST)
+        found = _unresisted(tangent, free, scale, "preonly" if ksp.getType() == "preonly" else "fcg", ksp.getPC(), MOST)
         if found is not None or not null_pivots(ksp):
             return found
     return _unresisted(tangent, free, scale, "cg", None, MOST_ALONE)

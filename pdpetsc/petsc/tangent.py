@@ -21,8 +21,6 @@ class PetscTangent(ABC):
         The preconditioning matrix; the tangent itself if assembled.
     diagonal : (n_rows * dim,) float64
         Diagonal of the tangent, or an estimate of it [force / length].
-    exact : bool
-        Whether the preconditioning matrix is the tangent, so that its factor has the pivots of the tangent.
 
     Notes
     -----
@@ -32,7 +30,6 @@ class PetscTangent(ABC):
     mat: PETSc.Mat
     preconditioner: PETSc.Mat
     diagonal: Float
-    exact: bool = False
 
     @abstractmethod
     def update(self, state: State, effort: float | None = None) -> None:

@@ -39,8 +39,8 @@ from pdpetsc.problem.scales import nearest_distances
 
 EVERYWHERE = All()
 # A point is outside of the body if the nearest particle is further away than this share of its horizon, and than this
-# multiple of the distance to its nearest neighbour. Corners of cells, also of long ones, are nearer.
-OUTSIDE, OUTSIDE_SPACINGS = 0.5, 1.5
+# multiple of the distance to its nearest neighbour. Corners of cells are nearer.
+OUTSIDE, OUTSIDE_SPACINGS = 0.6, 1.5
 
 
 class _Known(NamedTuple):

@@ -45,9 +45,8 @@ def _beyond(name: str, table: Table, duration: float) -> str:
     if all(t <= 1.0 or abs(f - end) <= rounded for t, f in zip(table.times, table.factors, strict=True)):
         return ""
     return (
-        f"The schedule of {name} has times up to {last:.6g}, and a run ends at load parameter 1, at the factor "
-        f"{end:.4g} of this table. Divide times that are no load parameters by "
-        f"{last if duration == 1.0 else duration:.6g}."
+        f"The schedule of {name} has times up to {last:.6g}, but schedules run from 0 to 1, where this table has the "
+        f"factor {end:.4g}. If its times are in seconds, divide them by {last if duration == 1.0 else duration:.6g}."
     )
 
 

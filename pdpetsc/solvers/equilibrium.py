@@ -312,9 +312,9 @@ class Equilibrium:
         bonds broke does not either.
         """
         known = self.problem.symmetric and self._factored_with == (False, self.problem.rebuilds)
-        if not known or not self.tangent.exact or not refactors(snes):
+        if not known or not refactors(snes):
             return None
-        return negative_pivots(ksp)
+        return negative_pivots(ksp, self.tangent.mat)
 
     def interrupted(self) -> int:
         """Return PETSc's reason for a solve that a signal stops (not collective)."""

@@ -288,5 +288,4 @@ class _Inverse(Flexibility):
         return supports.completed(found)
 
     def negative_pivots(self) -> int | None:
-        exact = self._solver._equilibrium.tangent.exact
-        return negative_pivots(self._solver.snes.getKSP()) if exact else None
+        return negative_pivots(self._solver.snes.getKSP(), self._solver._equilibrium.tangent.mat)

@@ -64,6 +64,8 @@ def shared_point(body: Body, corners: Float, one: list[int], other: list[int]) -
             continue
         for this, that in ((first, second), (second, first)):
             low, high = bounds(cloud.comm, surface.x[number == that])
+            for axis, at in cloud.places.planes.items():  # the surface ends at a mirror plane, and the body does not
+                low[axis], high[axis] = min(low[axis], at), max(high[axis], at)
             x = behind[number == this]
             x = x[np.all((x > low) & (x < high), axis=1)]
             x = np.concatenate(cloud.comm.allgather(x))

@@ -290,7 +290,7 @@ def test_petsc_finds_the_jacobian_with_strain_of_both_ends_correct(of_bonds, tmp
         case, conditions=[case.conditions[0], ends], steps=pd.Steps(1), history={"lost": pd.Largest(pd.local_damage)},
         results=None,
     )  # fmt: skip
-    pd.run(case, output=tmp_path, options={"snes_test_jacobian": None, "ksp_type": "preonly"})
+    pd.run(case, output=tmp_path, options={"snes_test_jacobian": None})
     assert history(tmp_path)["lost"][-1] > 0.01
     assert max(jacobian_ratios(capfd.readouterr().out)[:4]) < 1e-6
 
@@ -370,7 +370,7 @@ def test_half_of_a_body_with_a_mirror_plane_breaks_as_the_whole(of_bonds, tmp_pa
     capfd.readouterr()
     half = pd.run(
         pulled_strip(0.0, **crack, symmetry=[pd.Symmetry("y")]), output=tmp_path / "half",
-        options={"snes_test_jacobian": None, "ksp_type": "preonly"},
+        options={"snes_test_jacobian": None},
     )  # fmt: skip
     assert half.history["lost"][-1] > 0.1
     assert np.allclose(half.history["lost"], whole.history["lost"], rtol=1e-7)

@@ -421,6 +421,13 @@ def test_a_body_inside_another_one_is_refused_and_in_a_hole_it_is_not(dim):
     pd.prepare(blocks(pd.LatticeNodes(low, high, 0.5, cut=hole), inner))
 
 
+def test_a_body_of_one_column_at_a_mirror_plane_that_overlaps_is_refused():
+    a, b = pd.Lattice((0.0, 0.0), (3.0, 1.0), 0.25), pd.Lattice((0.0, 0.3), (0.125, 1.3), 0.125)
+    case = dataclasses.replace(blocks(a, b), symmetry=[pd.Symmetry("x")])
+    with pytest.raises(pd.CaseError, match="overlap at the start"):
+        pd.prepare(case)
+
+
 def test_bodies_at_a_mirror_plane_that_overlap_are_refused():
     a, b = pd.Lattice((0.0, 0.0), (3.0, 1.0), 0.25), pd.Lattice((0.0, 0.5), (0.25, 1.5), 0.125)
     case = dataclasses.replace(blocks(a, b), symmetry=[pd.Symmetry("x")])

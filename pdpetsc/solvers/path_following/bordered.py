@@ -9,8 +9,6 @@ from pdpetsc.arrays import Float
 from pdpetsc.petsc.library import set_up_failed, start_anew
 from pdpetsc.petsc.tangent import PetscTangent
 
-# Relative tolerance of the bordered system unless options or SNES set another.
-RTOL = 1e-8
 # Largest number of solves for the column, each to the accuracy that the last unknown of the solve before requires.
 PASSES = 2
 # A solution for the column is used if its residual is at most this multiple of what is required: the linear solver has
@@ -71,7 +69,6 @@ class Bordered:
         self.forget()
         self._outer.setOptionsPrefix("bordered_")
         self._outer.setType("preonly")
-        self._outer.setTolerances(rtol=RTOL)
         pc = self._outer.getPC()
         pc.setType("python")
         pc.setPythonContext(self)
@@ -125,12 +122,16 @@ class Bordered:
             start_anew(self.ksp)
             y.set(np.nan)
             return
-        self._solve_both(last, x.norm())
+        if self._snes.getUseEW():
+            self._solve_inexactly(last, x.norm())
+        else:
+            self._solve(self._r, self._y1)
+            self._solve(self._b, self._y2)
         z = self._last_unknown(last)
         self._y1.axpy(-z, self._y2)
         self.put(y, self._y1.array_r, z)
 
-    def _solve_both(self, last: float, size: float) -> None:
+    def _solve_inexactly(self, last: float, size: float) -> None:
         """Compute y1 and y2 so that the residual is within the tolerance of SNES (``-snes_ksp_ew``) times ``size``.
 
         ``last`` is the last entry of the right-hand side.

@@ -122,7 +122,8 @@ class Steps(Declared):
 class AdaptiveSteps(Declared):
     """Load steps that grow by half after an easy step and are halved after a failure.
 
-    Steps also end at the times of the ``Table`` schedules of the conditions, so that no step passes over a peak.
+    Steps also end where the factor of a ``Table`` schedule of a condition begins or ceases to rise or to fall, so that
+    no step passes over a peak.
 
     Parameters
     ----------

@@ -326,7 +326,7 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
     comm, dim = cloud.comm, cloud.dim
     box = np.concatenate([mine.x.min(axis=0, initial=np.inf), mine.x.max(axis=0, initial=-np.inf)])
     boxes = np.array(comm.allgather(box))
-    ranks, facets, sizes, entries = [], [], [], []
+    ranks, facets, entries = [], [], []
     for behind, (sign, to) in enumerate(zip(*cloud.places.mirrors, strict=True)):
         x = sign * theirs.x + to
         near = [
@@ -342,20 +342,18 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
             corners = corners[:, [1, 0, 3, 2]]
         # Keys of images are below all others: a body does not touch its own image.
         key = theirs.key[rows] if behind == 0 else -theirs.key[rows] * cloud.places.n - behind
-        # With mirror planes there are no periods, and the number of a place is that of its planes.
+        # A body with mirror planes has no periods, so that places are numbered by their planes.
         place = cloud.place[members]
         order = cloud.order[members] + ((place ^ behind) - place)
         ranks.append(np.repeat(np.arange(comm.size), [len(one) for one in near]).astype(np.int32))
         facets.append([x[rows], corners, key, theirs.both[rows], np.diff(ptr)])
-        sizes.append(np.diff(ptr))
         entries.append([order, theirs.N[entry], sign * theirs.G[entry]])
-    rank, size = np.concatenate(ranks), np.concatenate(sizes)
-    (x, corners, key, both, size_here), _ = exchange(
-        comm, rank, [np.concatenate(one) for one in zip(*facets, strict=True)]
+    rank = np.concatenate(ranks)
+    of_facets, of_entries = (
+        [np.concatenate(parts) for parts in zip(*columns, strict=True)] for columns in (facets, entries)
     )
-    of = [np.concatenate(one) for one in zip(*entries, strict=True)]
-    (members, N, G), _ = exchange(comm, np.repeat(rank, size), of)
-    size = size_here
+    (members, N, G), _ = exchange(comm, np.repeat(rank, of_facets[-1]), of_entries)
+    (x, corners, key, both, size), _ = exchange(comm, rank, of_facets)
     ptr = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     order = np.argsort(cloud.order)
     place = np.minimum(np.searchsorted(cloud.order[order], members), cloud.n_local - 1)

@@ -53,6 +53,14 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
                 f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
                 f"the load goes up and down as equilibrium demands, which has no meaning for others."
             )
+    for _, rigid in problem.rigid_bodies:
+        load = rigid.load(1.0)
+        off = max(float(np.abs(rigid.load(t) - t * load).max(initial=0.0)) for t in times)
+        if off > PROPORTIONAL * max(float(np.abs(load).max(initial=0.0)), 1e-300):
+            raise CaseError(
+                f"{who} needs loads proportional to the step time, and that of {rigid.title[0].lower()}"
+                f"{rigid.title[1:]} is not; take the schedule Ramp."
+            )
     for term in problem.terms:
         if term is not problem.material_term:
             _refuse_term(problem, term, who, times)

@@ -12,7 +12,7 @@ from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.blend import Blend
-from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation_vector, skew, turned
+from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation_vector, skew, spin_of_vector, turned
 from pdpetsc.problem.state import State
 
 # Number of load parameters at which loads are compared.
@@ -93,7 +93,7 @@ class RigidBody:
         self._way = np.zeros(6)
         self.kept = np.tile(self._both, (len(owner), 1))
         self._span = (0.0, 0.0)
-        self._ended, self._fresh = False, True
+        self._ended, self._fresh, self._at_any = False, True, False
 
     def _in_space(self, components: Float | Mask) -> Float:
         """Return six numbers of space for components of displacement and rotation."""
@@ -225,6 +225,11 @@ class RigidBody:
         """Return the largest loads of the free components at a few load parameters (n_free,) [force]."""
         return np.asarray(np.abs([self.load(t) for t in np.linspace(0.0, 1.0, SAMPLES)]).max(axis=0))
 
+    @property
+    def driven(self) -> Float:
+        """Return the prescribed components of the displacement at load parameter 1 (dim,) [length]."""
+        return np.where(self.free[: self._dim], 0.0, self.declared.motion(1.0, self._dim)[1])
+
     def load(self, t: float) -> Float:
         """Return the loads of the free components about P (n_free,) [force], [force length]."""
         found = self._in_space(self.declared.load(t, self._dim))
@@ -268,12 +273,34 @@ class RigidBody:
             turn = step[self._dim :]
             self._R[1] = turned(turn if self._dim == 3 else np.array([0.0, 0.0, turn[0]]), self._R[1])
 
+    @property
+    def placed(self) -> Float:
+        """Return displacement and rotation vector since the start of the step, free components only (n_free,)."""
+        turn = rotation_vector(self._R[1] @ self._R[0].T)
+        return np.asarray(np.concatenate([self._whole(self._d[1] - self._d[0]), turn])[self._free])
+
+    def place(self, way: Float) -> None:
+        """Move to a displacement and rotation vector since the start of the step (n_free,) (not collective)."""
+        self._d[1], self._R[1] = self._d[0], self._R[0]
+        self.move(way)
+
+    @property
+    def spins(self) -> Float:
+        """Return the velocities and angular velocities for unit rates of ``placed``, in columns (n_free, n_free)."""
+        found = np.eye(6)
+        found[3:, 3:] = spin_of_vector(rotation_vector(self._R[1] @ self._R[0].T))
+        return np.asarray(found[np.ix_(self._free, self._free)])
+
+    def follow_load(self) -> None:
+        """Let the motion be the same at every load parameter: along a path a step has no known end."""
+        self._at_any = True
+
     def start_from(self, begin: float, end: float) -> None:
         """Begin or repeat the step between two load parameters (not collective)."""
         if self._ended:
             self._d[0], self._R[0], self._rates = self._d[1], self._R[1], self._ended_rates.copy()
             self._ended, self._fresh = False, True
-        self._span = (begin, end)
+        self._span = (-np.inf, -np.inf) if self._at_any else (begin, end)
 
     def revert(self) -> None:
         """Return to the last converged step (not collective)."""

@@ -15,6 +15,8 @@ from pdpetsc.problem.blend import Blend
 ITERATIONS, EXACT = 50, 4.0 * np.finfo(float).eps
 # Largest rotation in a step of central differences [rad].
 MOST_TURN = 0.5
+# Angle below which coefficients of rotations have their limits [rad].
+SMALL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class RigidInertia:
         """
         angle = float(np.linalg.norm(turned))
         ratio = 1.0 / 12.0
-        if angle > 1e-3:
+        if angle > SMALL:
             ratio = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
         cross = skew(turned)
         # Change of the rotation vector of the step with a rotation after it.
@@ -138,6 +140,15 @@ def rotation(vector: Float) -> Float:
 def turned(vector: Float, R: Float) -> Float:
     """Return a rotation (3, 3) after a further one of a rotation vector (3,) in space, orthogonal to round-off."""
     return np.asarray((Rotation.from_rotvec(vector) * Rotation.from_matrix(R)).as_matrix())
+
+
+def spin_of_vector(vector: Float) -> Float:
+    """Return the angular velocities in space for unit rates of a rotation vector (3,), in columns (3, 3)."""
+    angle, cross = float(np.linalg.norm(vector)), skew(vector)
+    first, second = 0.5, 1.0 / 6.0
+    if angle > SMALL:
+        first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
 def about_point(mass: Float, arm: Float) -> Float:

@@ -125,8 +125,9 @@ class Equilibrium:
         # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
         self._lost = self._loaded = False
-        # Largest displacement of a loaded rigid body [length].
-        self._way = 0.0
+        # Largest displacement of a loaded rigid body [length], and the loads on all that are unknowns of the solve
+        # [force].
+        self._way = self._on_bodies = 0.0
         # Whether damage was held, and the number of rebuilds, at the last update of the tangent.
         self._factored_with = True, 0
 
@@ -288,9 +289,9 @@ class Equilibrium:
         sums = np.where(np.isfinite(sums), sums, 0.0)
         *forces, of_round_off, of_change, of_jump = np.sqrt(sums[: len(squares)]).tolist()
         of_step = sums[len(squares) :]
-        self._loaded = bool(of_step[0] > 0.0)
+        self._loaded = bool(of_step[0] + self._on_bodies > 0.0)
         bounded = self.unbalanced is not None and not self.problem.linear
-        self.reference = min(max(forces), float(of_step.sum()) if bounded else np.inf)
+        self.reference = min(max(forces), float(of_step.sum()) + self._on_bodies if bounded else np.inf)
         self._note_move(of_change / np.sqrt(self.problem.body.cloud.n_global), of_jump)
         return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * of_round_off
 
@@ -351,6 +352,10 @@ class Equilibrium:
         force = self.problem.internal_force(state)
         if force is not None:
             self.unbalanced = force - self._loads_at_start
+
+    def carry(self, loads: float, way: float) -> None:
+        """Set the loads on rigid bodies that are unknowns of the solve [force], and their ``way`` (not collective)."""
+        self._on_bodies, self._way = loads, way
 
     def resist(self, change: Float) -> None:
         """Compute the forces against a change of the prescribed unknowns (n_rows, dim) [length] at the start."""

@@ -61,6 +61,95 @@ class _Side:
         return -np.stack([self.tangent(one).copy() for one in self.velocities]) - self.rigid.spun(self.force)
 
 
+class CoupledTangent:
+    """The tangent at a state by the displacements of the particles and the motions of the rigid bodies.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    sides : sequence of _Side
+        What the bodies do to the residual there.
+    state : State
+        The state.
+    rates : (n, n) float64, optional
+        Velocities and angular velocities of the bodies for unit rates of the motions; by default they are the motions.
+    scale : (n,) float64, optional
+        Factors on the resultants; 1 by default.
+
+    Attributes
+    ----------
+    carried : (n, n_rows, dim) float64
+        Displacements that particles of regions, and those tied to them, have with each motion.
+
+    Notes
+    -----
+    Construction and the methods are collective.
+    """
+
+    def __init__(
+        self, problem: Problem, sides: Sequence[_Side], state: State, rates: Float | None = None,
+        scale: Float | None = None,
+    ) -> None:  # fmt: skip
+        self._problem, self._sides = problem, sides
+        self._tangent = problem.linearised(state)
+        # The change of the residual with the motions of each tool.
+        self._held = [side.columns() for side in sides]
+        n = sum(len(held) for held in self._held)
+        self._rates = np.eye(n) if rates is None else rates
+        self._scale = np.ones(n) if scale is None else scale
+        zero = np.zeros_like(state.u)
+        carried = [
+            problem.supports.completed(zero, one) if side.rigid.rows is not None else zero
+            for side in sides
+            for one in side.velocities
+        ]
+        self.carried = np.einsum("kpi,kl->lpi", np.array(carried).reshape(-1, *zero.shape), self._rates)
+
+    def force(self, du: Float, motions: Float) -> Float:
+        """Compute the change of the residual before constraints (n_rows, dim) [force].
+
+        Parameters
+        ----------
+        du : (n_rows, dim) float64
+            Displacements of all particles, those of regions with the motions [length].
+        motions : (n,) float64
+            Motions of the bodies.
+        """
+        force: Float = self._tangent(du) + sum(self._by_tools(self._parts(motions)))
+        return force
+
+    def resultants(self, du: Float, motions: Float, load: float = 0.0) -> Float:
+        """Compute the change of the resultants less loads (n,); arguments as for ``force``.
+
+        ``load`` is the change of the load factor, with which loads grow and prescribed components move.
+        """
+        if not self._sides:
+            return np.zeros(0)
+        force, parts, found = self.force(du, motions), self._parts(motions), []
+        for side, part, by_tool in zip(self._sides, parts, self._by_tools(parts), strict=True):
+            if side.tangent is None:
+                rows = side.rigid.rows
+                assert rows is not None
+                df = np.where(rows[:, None], force, 0.0)
+            else:
+                df = -side.tangent(du) - by_tool
+            # The arms of moments change with the displacement relative to the point of the load.
+            n = int(np.count_nonzero(side.rigid.free[: self._problem.dim]))
+            moved = du - np.einsum("k,kpi->pi", part[:n], side.velocities[:n]) - load * side.rigid.driven
+            found.append(side.resultants(df) + np.einsum("kpi,pi->k", side.rigid.spun(moved), side.force))
+        loads = np.concatenate([side.rigid.load(1.0) for side in self._sides])
+        return np.asarray(self._scale * (total(self._problem.body.cloud.comm, np.concatenate(found)) - load * loads))
+
+    def _parts(self, motions: Float) -> list[Float]:
+        """Return velocities and angular velocities of each body."""
+        return np.split(self._rates @ motions, np.cumsum([len(held) for held in self._held]))[:-1]
+
+    def _by_tools(self, parts: Sequence[Float]) -> list[Float]:
+        """Return the change of the residual by each tool (n_rows, dim), 0 for regions."""
+        return [np.einsum("k,kpi->pi", part, held) for part, held in zip(parts, self._held, strict=True)]
+
+
 class RigidBodies:
     """Find the motions of loaded tools and regions for which they are in equilibrium.
 
@@ -101,6 +190,52 @@ class RigidBodies:
         """Return the largest displacement of a body since the start of the run [length] (not collective)."""
         return max(rigid.way for _, rigid in self._bodies)
 
+    def follow_load(self) -> None:
+        """Let motions be the same at every load parameter, as unknowns of a path (not collective)."""
+        for _, rigid in self._bodies:
+            rigid.follow_load()
+
+    @property
+    def motions(self) -> Float:
+        """Return the motions since the start of the step, rotation vectors times the size of the body (n,) [length].
+
+        Not collective.
+        """
+        return np.concatenate([np.zeros(0), *[rigid.placed / self._lengths(rigid) for _, rigid in self._bodies]])
+
+    def place(self, motions: Float) -> None:
+        """Move the bodies to ``motions`` (n,) [length] (not collective)."""
+        start = 0
+        for _, rigid in self._bodies:
+            n = int(np.count_nonzero(rigid.free))
+            rigid.place(motions[start : start + n] * self._lengths(rigid))
+            start += n
+
+    @property
+    def loads(self) -> Float:
+        """Return the loads at load parameter 1, moments over the size of the body (n,) [force] (not collective)."""
+        parts = [rigid.load(1.0) * self._lengths(rigid) for _, rigid in self._bodies]
+        return np.concatenate([np.zeros(0), *parts])
+
+    def unbalanced_at(self, state: State) -> tuple[Float, Float]:
+        """Return resultants less loads, and what they are compared with (n,) [force]; moments over the size."""
+        if not self._bodies:
+            return np.zeros(0), np.zeros(0)
+        off, size = self._imbalance([self._side(*body, state, linear=False) for body in self._bodies], state)
+        scale = self._scale
+        return -off * scale, size * scale
+
+    def balanced(self, state: State, rtol: float) -> bool:
+        """Return True if the loads are in equilibrium, with the relative tolerance of that of the particles."""
+        off, size = self.unbalanced_at(state)
+        return bool(np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size))
+
+    def coupled(self, state: State) -> CoupledTangent:
+        """Return the derivatives of residual and ``unbalanced_at`` by displacements and ``motions``."""
+        sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
+        spins = block_diag(np.zeros((0, 0)), *[rigid.spins for _, rigid in self._bodies])
+        return CoupledTangent(self._problem, sides, state, spins * scale, scale)
+
     def moved(self, state: State, inverse: Callable[[], Callable[[Float], Float]], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
 
@@ -138,7 +273,7 @@ class RigidBodies:
                 return None
             return state.u.copy()
         S, ways = self._stiffness(sides, state, inverse())
-        scale = np.concatenate([self._lengths(side.rigid) for side in sides])
+        scale = self._scale
         step = np.linalg.lstsq(S * scale[:, None] * scale, off * scale, rcond=FREE)[0] * scale
         left = np.abs(off - S @ step) > UNHELD * size
         if np.any(left):
@@ -161,7 +296,7 @@ class RigidBodies:
         With the negative pivots of the tangent at held motions they are the negative pivots of the whole.
         """
         sides = [self._side(*body, state) for body in self._bodies]
-        scale = np.concatenate([self._lengths(side.rigid) for side in sides])
+        scale = self._scale
         S = self._stiffness(sides, state, answer)[0] * scale[:, None] * scale
         values = np.linalg.eigvalsh(0.5 * (S + S.T))
         return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
@@ -206,6 +341,11 @@ class RigidBodies:
             sizes.append(size * arm)
         return np.concatenate(loads) - found, np.concatenate(sizes)
 
+    @property
+    def _scale(self) -> Float:
+        """Return ``_lengths`` of all bodies (n,)."""
+        return np.concatenate([np.zeros(0), *[self._lengths(rigid) for _, rigid in self._bodies]])
+
     def _lengths(self, rigid: RigidBody) -> Float:
         """Return 1 for displacements, and the angle that moves the size of the body by 1 for rotations (n_free,)."""
         dim = self._problem.dim
@@ -213,30 +353,14 @@ class RigidBodies:
 
     def _stiffness(self, sides: Sequence[_Side], state: State, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
         """Return the derivative of the resultants by the motions, and the ways of the particles for each motion."""
-        problem = self._problem
-        supports, tangent = problem.supports, problem.linearised(state)
+        problem, supports = self._problem, self._problem.supports
+        linear = CoupledTangent(problem, sides, state)
         ways, columns = [], []
-        for own in sides:
-            for k, (carried, held) in enumerate(zip(own.velocities, own.columns(), strict=True)):
-                shift = carried if own.rigid.rows is not None else np.zeros_like(carried)
-                du = supports.completed(answer(-supports.reduced(tangent(shift) + held))) + shift
-                change = tangent(du) + held
-                found = []
-                for side in sides:
-                    if side.tangent is None:
-                        rows = side.rigid.rows
-                        assert rows is not None
-                        df = np.where(rows[:, None], change, 0.0)
-                    else:
-                        df = -side.tangent(du) - (held if side is own else 0.0)
-                    # The arms of moments change with the displacement relative to the point of the load.
-                    moved = du.copy()
-                    if side is own and k < np.count_nonzero(side.rigid.free[: problem.dim]):
-                        moved -= carried
-                    found.append(side.resultants(df) + np.einsum("kpi,pi->k", side.rigid.spun(moved), side.force))
-                ways.append(du)
-                columns.append(np.concatenate(found))
-        S = np.stack([total(problem.body.cloud.comm, column) for column in columns], axis=1)
+        for motion, carried in zip(np.eye(len(linear.carried)), linear.carried, strict=True):
+            force = linear.force(carried, motion)
+            ways.append(supports.completed(answer(-supports.reduced(force))) + carried)
+            columns.append(linear.resultants(ways[-1], motion))
+        S = np.stack(columns, axis=1)
         if self._inertia is not None and state.clock.dt > 0.0:
             blend = self._inertia.blend
             S += block_diag(*[side.rigid.stiffness_in_step(blend, state.t, state.clock.dt) for side in sides])

@@ -108,7 +108,7 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
 
 def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver) -> None:
     """Raise CaseError if a solver does not find the motion of a loaded rigid body."""
-    if solver is StaticSolver:
+    if solver is StaticSolver or (solver is PathSolver and rigid.rows is not None):
         if rigid.declared.mass is not None or rigid.declared.inertia is not None:
             raise CaseError(
                 f"{rigid.title} has a mass and does not move in time. Use Implicit or Explicit, or no mass."

@@ -7,6 +7,8 @@ import pytest
 import scipy
 
 import pdpetsc as pd
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.solvers.path_following.solver import PathSolver
 from pdpetsc.solvers.rigid_bodies import RigidBodies
 from tests.commands import STOPPING, results, stopped_and_continued
 
@@ -352,6 +354,143 @@ def test_a_body_that_fails_is_bent_by_a_moment(tmp_path):
     prescribed = pd.RigidRegion("+x", turn=found[1.0], about=about, schedule=table)
     moved = pd.run(strip(prescribed, nodes, history=history, **given), tmp_path / "moved").history
     assert moved["m"][-1] == pytest.approx(4.5, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["plane", "space", "pushed in one direction"])
+def test_a_path_meets_the_equilibria_of_load_steps(kind, tmp_path):
+    """With large rotations; Newton's method of displacements, load factor and motions converges quadratically."""
+    nodes, about, loads = None, (4.0, 0.5), {"force": (3.0, 2.0), "moment": 10.0}
+    if kind == "space":
+        nodes, about = pd.LatticeNodes((0.0, 0.0, 0.0), (3.0, 1.0, 1.0), 0.5), (3.0, 0.5, 0.5)
+        loads = {"force": (3.0, 4.0, -2.0), "moment": (40.0, 10.0, -20.0)}
+    elif kind != "plane":
+        loads = {"force": (None, 2.0), "move": (0.1, 0.0), "moment": 10.0}
+    region = pd.RigidRegion("+x", **loads, about=about)
+    far = pd.region.Slab("x", low=about[0] - 0.01)
+    solver = pd.PathFollowing(pd.Opening("y", far, step=0.1, end=0.4))
+    path = pd.run(strip(region, nodes, solver=solver), tmp_path / "path")
+    summary = json.loads((tmp_path / "path" / "summary.json").read_text())
+    assert all(step["newton_iterations"] <= 5 for step in summary["steps"])
+    assert all(step["norms"][-1] < 1e-3 * step["norms"][-2] for step in summary["steps"][1:])
+    load = path.history["t"][-1]
+    there = {name: np.multiply([one or 0.0 for one in np.ravel(given)], load) for name, given in loads.items()}
+    there["force"] = [None if one is None else value for one, value in zip(loads["force"], there["force"], strict=True)]
+    steps = pd.run(strip(pd.RigidRegion("+x", **there, about=about), nodes), tmp_path / "steps")
+    for axis in "xyz"[: len(about)]:
+        assert path.history[axis][-1] == pytest.approx(steps.history[axis][-1], rel=1e-7)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_the_bordered_tangent_is_the_derivative_of_the_residual(friction, rng):
+    """Of displacements, load factor and the motions of a region in space that has turned far in its step."""
+    nodes = pd.LatticeNodes((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), 0.5)
+    region = pd.RigidRegion("+x", force=(3.0, None, -2.0), moment=(4.0, 1.0, -2.0), about=(2.0, 0.5, 0.5))
+    block = pd.RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+    conditions = [pd.Clamp("-x"), region, pd.Contact("+z", block, friction)]
+    solver = pd.PathFollowing(pd.Opening("y", pd.region.Slab("x", low=1.4), step=0.1, end=0.4))
+    case = strip(region, nodes, conditions=conditions, solver=solver, history={})
+    prepared = pd.prepare(case)
+    path = PathSolver(prepared.problem, Assembler(prepared.problem), solver, lambda: False)
+    u = 0.02 * rng.standard_normal((prepared.cloud.n_rows, 3))
+    path._aim(np.zeros_like(u), 1.0)
+    path._impose(0.0)
+    path._equilibrium.begin(np.zeros_like(u))
+    path._force = 1.0
+    x = np.concatenate([u.ravel() / path._scales.length, [0.3, 0.1, -0.1, 0.7, 0.4, -0.9]])
+    lengths = slice(len(x) - 5, None)
+    x[lengths] /= path._scales.length
+
+    def residual(values):
+        path._x.array = values
+        r = path._r.duplicate()
+        path._residual(path.snes, path._x, r)
+        return r.array_r.copy()
+
+    path._x.array = x
+    path._jacobian(path.snes, path._x, path._bordered.mat, path._bordered.mat)
+    for _ in range(3):
+        along = rng.standard_normal(len(x))
+        along[lengths] /= path._scales.length
+        step, product = path._x.duplicate(), path._x.duplicate()
+        step.array = along
+        path._bordered.mat.mult(step, product)
+        h = 1e-6
+        differences = (residual(x + h * along) - residual(x - h * along)) / (2.0 * h)
+        np.testing.assert_allclose(product.array_r, differences, rtol=1e-6, atol=1e-6 * np.abs(differences).max())
+    path.destroy()
+
+
+def failing(region, **changes):
+    """Return a strip whose points fail, except near the clamped end."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.125)
+    law = pd.PointDamage(pd.softening.Linear(), Gc=0.3, strength=10.0, protected=pd.region.Slab("x", high=1.0))
+    given = {"material": pd.LinearElastic(E, 0.0, plane="stress"), "damage": law}
+    return strip(region, nodes, **{**given, **changes})
+
+
+def test_a_path_bends_a_body_by_a_moment_until_it_is_apart(tmp_path):
+    """The moment falls, which load steps do not follow. The angles that were found, prescribed, need the moments."""
+    about = (4.0, 0.5)
+
+    class Turn(pd.Quantity):
+        def evaluate(self, solution):
+            term = next(one for one in solution.problem.terms if one.rigid is not None)
+            return term.rigid.numbers()["turn"](solution.state)
+
+    upper, lower = (pd.region.Box((3.9, y - 0.1), (4.1, y + 0.1)) for y in (0.0, 1.0))
+    solver = pd.PathFollowing(pd.Opening("x", upper, against=lower, step=0.02, end=0.2))
+    region = pd.RigidRegion("+x", force=(0.0, 0.0), moment=3.0, about=about)
+    history = {"turn": Turn(), "m": pd.ReactionMoment("+x", about), "lost": pd.DissipatedEnergy()}
+    path = pd.run(failing(region, solver=solver, history=history), tmp_path / "path").history
+    moment = np.array(path["t"]) * 3.0
+    np.testing.assert_allclose(path["m"], moment, rtol=1e-8, atol=1e-8)
+    peak = int(np.argmax(moment))
+    assert moment[-1] < moment[peak]
+    assert path["lost"][-1] > 2.0 * path["lost"][peak]
+    summary = json.loads((tmp_path / "path" / "summary.json").read_text())
+    pivots = [step["negative_pivots"] for step in summary["steps"]]
+    assert not any(pivots[: peak - 1])
+    assert pivots[peak + 1] == 1
+
+
+PATH_CASE = """
+import pdpetsc as pd
+
+def case(unit=1.0, modulus=1000.0, end=0.2):
+    force = 1e-3 * modulus * unit**2
+    about = (2.0 * unit, 0.5 * unit, 0.5 * unit)
+    load = {"force": (force, 2.0 * force, -force), "moment": (4.0 * force * unit, force * unit, -2.0 * force * unit)}
+    right = pd.region.Slab("x", low=1.99 * unit)
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0, 0.0), (2.0 * unit, unit, unit), 0.25 * unit),
+        material=pd.Hencky(modulus, 0.3),
+        conditions=[pd.Clamp("-x"), pd.RigidRegion(right, **load, about=about)],
+        solver=pd.PathFollowing(pd.Opening("y", right, step=0.05 * unit, end=end * unit)),
+        history={axis: pd.Mean(pd.displacement, axis, right) for axis in "xyz"},
+        results=lambda h: {"load": h["t"][-1], **{axis: h[axis][-1] / unit for axis in "xyz"}},
+    )
+"""
+
+
+def test_ranks_units_matrices_and_restarts_change_no_path_of_a_region(tmp_path):
+    path = tmp_path / "case.py"
+    path.write_text(PATH_CASE)
+    one = results(path, output=tmp_path / "one")["results"]
+    assert one["y"] == pytest.approx(0.2, rel=1e-9)
+    runs = {
+        "two": ([], 2),
+        "free": (["-pd_jacobian", "matfree"], 1),
+        "free on three": (["-pd_jacobian", "matfree"], 3),
+        "small": (["unit=1e-9", "modulus=1e6"], 1),
+        "large": (["unit=1e6", "modulus=1e-9"], 1),
+    }
+    for name, (words, ranks) in runs.items():
+        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=2e-6, abs=1e-8)
+    results(path, "end=0.1", output=tmp_path / "half")
+    words = ["--restart", tmp_path / "half"]
+    again = results(path, *words, output=tmp_path / "again")["results"]
+    assert again == pytest.approx(one, rel=1e-9)
 
 
 def test_a_loaded_tool_has_one_contact():

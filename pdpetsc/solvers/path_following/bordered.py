@@ -1,6 +1,8 @@
-"""Linear systems with one more row and column, for an unknown load factor."""
+"""Linear systems with a few more rows and columns, for the load factor and motions of rigid bodies."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from petsc4py import PETSc
@@ -9,9 +11,9 @@ from pdpetsc.arrays import Float
 from pdpetsc.petsc.library import set_up_failed, start_anew
 from pdpetsc.petsc.tangent import PetscTangent
 
-# Largest number of solves for the column, each to the accuracy that the last unknown of the solve before requires.
+# Largest number of solves for each column, to the accuracy that the last unknowns of the solve before require.
 PASSES = 2
-# A solution for the column is used if its residual is at most this multiple of what is required: the linear solver has
+# A solution for a column is used if its residual is at most this multiple of what is required: the linear solver has
 # another norm.
 CLOSE = 5.0
 # A residual that would be at most this multiple of ``enough`` is reduced to it, which saves an iteration of Newton's
@@ -20,11 +22,11 @@ NEARLY = 100.0
 
 
 class Bordered:
-    """Solve ``[K b; c d]``, whose last unknown is on the last rank, with two solves of ``K``.
+    """Solve ``[K B; C D]``, whose ``m`` last unknowns are on the last rank, with ``m + 1`` solves of ``K``.
 
-    ``K y1 = r``, ``K y2 = b``; then ``z = (s - c . y1) / (d - c . y2)`` and ``y = y1 - z y2``. The residual is that of
-    the first solve plus z times that of the second one, which starts from the last ``y2`` and is as accurate as z
-    requires.
+    ``K y = r``, ``K Y = B``; then ``z = (D - C Y)^-1 (s - C y)`` are the last unknowns and ``y - Y z`` the others. The
+    residual is that of the first solve plus those of the others times z. They start from the last ``Y`` and are as
+    accurate as z requires.
 
     Parameters
     ----------
@@ -32,6 +34,8 @@ class Bordered:
         K.
     snes : SNES
         Newton's method, whose own KSP applies this solver and has the options prefix ``bordered_``.
+    n_last : int
+        m.
 
     Attributes
     ----------
@@ -49,22 +53,22 @@ class Bordered:
     Construction and every method are collective. Call ``free`` before MPI ends.
     """
 
-    def __init__(self, tangent: PetscTangent, snes: PETSc.SNES) -> None:
+    def __init__(self, tangent: PetscTangent, snes: PETSc.SNES, n_last: int) -> None:
         self._tangent, self._snes, self._outer = tangent, snes, snes.getKSP()
         K = tangent.mat
         comm = K.getComm()
         self._last = comm.size - 1
         self._comm = comm.tompi4py()
         self._n = K.getLocalSize()[0]
-        local = self._n + (comm.rank == self._last)
-        size = (local, K.getSize()[0] + 1)
+        size = (self._n + n_last * (comm.rank == self._last), K.getSize()[0] + n_last)
         self.ksp = PETSc.KSP().create(comm=comm)
         self.ksp.setOperators(K, tangent.preconditioner)
         self.mat = PETSc.Mat().createPython((size, size), context=self, comm=comm)
         self.mat.setUp()
-        self._r, self._y1, self._y2, self._b, self._c = (tangent.preconditioner.createVecRight() for _ in range(5))
-        self._rest, self._more = self._b.duplicate(), self._b.duplicate()
-        self._d = 0.0
+        self._r, self._y, self._rest, self._more = (tangent.preconditioner.createVecRight() for _ in range(4))
+        self._B, self._Y = ([self._r.duplicate() for _ in range(n_last)] for _ in range(2))
+        self._C: Callable[[Float], Float] = lambda values: np.zeros(n_last)
+        self._D = np.zeros((n_last, n_last))
         self.iterations, self.enough = 0, 0.0
         self.forget()
         self._outer.setOptionsPrefix("bordered_")
@@ -74,8 +78,9 @@ class Bordered:
         pc.setPythonContext(self)
 
     def forget(self) -> None:
-        """Discard the last solution for the column, which the next solve would start from."""
-        self._y2.set(0.0)
+        """Discard the last solutions for the columns, which the next solve would start from."""
+        for Y in self._Y:
+            Y.set(0.0)
 
     def renew(self) -> None:
         """Bind the new matrices of the tangent."""
@@ -90,29 +95,33 @@ class Bordered:
         """Create a vector of the bordered system."""
         return self.mat.createVecRight()
 
-    def put(self, x: PETSc.Vec, values: Float, last: float) -> None:
+    def put(self, x: PETSc.Vec, values: Float, last: Float) -> None:
         """Set a vector of the bordered system (not collective)."""
         x.array[: self._n] = values.ravel()
         if self._comm.rank == self._last:
-            x.array[self._n] = last
+            x.array[self._n :] = last
 
-    def split(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return the part of this rank without the last unknown, and the last unknown."""
+    def split(self, x: PETSc.Vec) -> tuple[Float, Float]:
+        """Return the part of this rank without the last unknowns, and the last unknowns (m,)."""
         values = x.array_r
-        last = float(values[self._n]) if self._comm.rank == self._last else 0.0
-        return values[: self._n], float(self._comm.bcast(last, root=self._last))
+        return values[: self._n], np.asarray(self._comm.bcast(values[self._n :].copy(), root=self._last))
 
-    def border(self, b: Float, c: Float, d: float) -> None:
-        """Set column, row and corner, after a change of the tangent (not collective)."""
-        self._b.array, self._c.array, self._d = b.ravel(), c.ravel(), d
+    def border(self, B: Sequence[Float], C: Callable[[Float], Float], D: Float) -> None:
+        """Set columns, rows and corner (m, m), after a change of the tangent (not collective).
+
+        The rows are a function of the entries of this rank that returns ``C y`` (m,), collective.
+        """
+        for column, values in zip(self._B, B, strict=True):
+            column.array = values.ravel()
+        self._C, self._D = C, D
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Compute the product; called by PETSc."""
         values, last = self.split(x)
         self._r.array = values
-        self._tangent.mat.mult(self._r, self._y1)
-        self._y1.axpy(last, self._b)
-        self.put(y, self._y1.array_r, self._c.dot(self._r) + self._d * last)
+        self._tangent.mat.mult(self._r, self._y)
+        self._y.maxpy(last, self._B)
+        self.put(y, self._y.array_r, self._C(values) + self._D @ last)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve the system; called by PETSc. The result is not finite if the system has no solution."""
@@ -125,41 +134,54 @@ class Bordered:
         if self._snes.getUseEW():
             self._solve_inexactly(last, x.norm())
         else:
-            self._solve(self._r, self._y1)
-            self._solve(self._b, self._y2)
-        z = self._last_unknown(last)
-        self._y1.axpy(-z, self._y2)
-        self.put(y, self._y1.array_r, z)
+            self._solve(self._r, self._y)
+            for column, Y in zip(self._B, self._Y, strict=True):
+                self._solve(column, Y)
+        z = self._last_unknowns(last)
+        self._y.maxpy(-z, self._Y)
+        self.put(y, self._y.array_r, z)
 
-    def _solve_inexactly(self, last: float, size: float) -> None:
-        """Compute y1 and y2 so that the residual is within the tolerance of SNES (``-snes_ksp_ew``) times ``size``.
+    def answer(self, values: Float) -> Float:
+        """Solve with the tangent alone; return the entries of this rank."""
+        self._r.array = values
+        self._solve(self._r, self._y)
+        return np.array(self._y.array_r)
 
-        ``last`` is the last entry of the right-hand side.
+    def _solve_inexactly(self, last: Float, size: float) -> None:
+        """Compute y and Y so that the residual is within the tolerance of SNES (``-snes_ksp_ew``) times ``size``.
+
+        ``last`` are the last entries of the right-hand side.
         """
         rtol = self._outer.getTolerances()[0]
         goal = rtol * size
         if goal < NEARLY * self.enough:
             goal = self.enough
-        self._y1.set(0.0)
+        self._y.set(0.0)
         if self._r.norm() > goal:
-            self._solve(self._r, self._y1, goal)
-        if not np.isfinite(self._y2.norm()):
+            self._solve(self._r, self._y, goal)
+        if not np.isfinite(sum(Y.norm() for Y in self._Y)):
             self.forget()
         for _ in range(PASSES):
-            self._tangent.mat.mult(self._y2, self._rest)
-            self._rest.aypx(-1.0, self._b)
-            z = abs(self._last_unknown(last))
-            known = self._y2.norm() > 0.0 and 0.0 < z < np.inf
-            needed = goal / z if known else rtol * self._b.norm()
-            if self._rest.norm() <= CLOSE * needed:
+            z, exact = np.abs(self._last_unknowns(last)), True
+            for column, Y, share in zip(self._B, self._Y, z, strict=True):
+                self._tangent.mat.mult(Y, self._rest)
+                self._rest.aypx(-1.0, column)
+                known = Y.norm() > 0.0 and 0.0 < share < np.inf
+                needed = goal / (len(z) * share) if known else rtol * column.norm()
+                if self._rest.norm() > CLOSE * needed:
+                    self._solve(self._rest, self._more, needed)
+                    Y.axpy(1.0, self._more)
+                    exact = False
+            if exact:
                 break
-            self._solve(self._rest, self._more, needed)
-            self._y2.axpy(1.0, self._more)
 
-    def _last_unknown(self, last: float) -> float:
-        """Return z from y1, y2 and the last entry of the right-hand side."""
-        corner = self._d - self._c.dot(self._y2)
-        return float((last - self._c.dot(self._y1)) / corner) if corner != 0.0 else np.nan
+    def _last_unknowns(self, last: Float) -> Float:
+        """Return z (m,) from y, Y and the last entries of the right-hand side; not finite if there is no solution."""
+        corner = self._D - np.stack([self._C(Y.array_r) for Y in self._Y], axis=1)
+        try:
+            return np.asarray(np.linalg.solve(corner, last - self._C(self._y.array_r)))
+        except np.linalg.LinAlgError:
+            return np.full(len(last), np.nan)
 
     def _solve(self, b: PETSc.Vec, y: PETSc.Vec, goal: float = 0.0) -> None:
         """Solve ``K y = b``, to a norm of the residual if ``goal`` is positive."""
@@ -170,7 +192,7 @@ class Bordered:
 
     def free(self) -> None:
         """Free the PETSc objects except the tangent."""
-        for vec in (self._r, self._y1, self._y2, self._b, self._c, self._rest, self._more):
+        for vec in (self._r, self._y, self._rest, self._more, *self._B, *self._Y):
             vec.destroy()
         self.mat.destroy()
         self.ksp.destroy()

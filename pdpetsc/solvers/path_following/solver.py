@@ -15,12 +15,14 @@ from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.solvers.balance import EnergyBalance, judged
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import BAND, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.snes import SnesSolver
 
 # A load factor above this multiple of the highest one so far indicates a body without load capacity.
@@ -46,8 +48,9 @@ RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference"
 class PathSolver(SnesSolver):
     """Solve ``f_int(u) = lambda f_ext``, ``u = lambda U`` if prescribed, and one constraint by Newton's method.
 
-    Unknowns are the displacements and the load factor ``lambda``. Each linear solve needs two solves with the tangent,
-    for the residual and for the load. SNES solves the bordered system; the options of KSP and PC are those of the
+    Unknowns are the displacements, the load factor ``lambda``, and the motions of rigid regions with a load, whose
+    equations are the balance of that load. Each linear solve needs one solve with the tangent for the residual, one for
+    the load and one for each motion. SNES solves the bordered system; the options of KSP and PC are those of the
     tangent.
 
     Parameters
@@ -87,6 +90,8 @@ class PathSolver(SnesSolver):
         )
         # Change of the unknowns with the load factor if the independent ones do not move [length].
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
+        self._bodies = RigidBodies(problem, self._equilibrium.size)
+        self._bodies.follow_load()
         self._measure = measure_of(problem, options.measure)
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
@@ -95,11 +100,11 @@ class PathSolver(SnesSolver):
         # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
-        # The last converged unknowns, and the change in the last step, of unknowns and load factor, over the growth of
-        # the measure.
+        # The last converged unknowns, and the change in the last step, of displacements, load factor and motions, over
+        # the growth of the measure.
         self._before: Float | None = None
-        self._change: tuple[Float, float] | None = None
-        self._bordered = Bordered(self._equilibrium.tangent, self.snes)
+        self._change: tuple[Float, float, Float] | None = None
+        self._bordered = Bordered(self._equilibrium.tangent, self.snes, 1 + len(self._bodies.loads))
         self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
@@ -182,8 +187,8 @@ class PathSolver(SnesSolver):
                 continue
             if not converged:
                 self.refuse_mechanism(attempt)
-            followed_measure = self._constraint.share == 0.0
-            self._change = ((attempt - u) / size, (self.load - load) / size) if followed_measure else None
+            change = (attempt - u) / size, (self.load - load) / size, self._bodies.motions / size
+            self._change = change if self._constraint.share == 0.0 else None
             self._before = attempt
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
@@ -214,14 +219,15 @@ class PathSolver(SnesSolver):
         # A constraint with a share prescribes the load factor.
         unit = self._options.first if of.share else self._options.measure.step
         self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / unit
-        sought.impose(self.load, *(self.load * one for one in self._whole))
+        self._impose(self.load)
         if sought.begin(u):
             self._use_tangent()
         sought.resist(self._held)
         self._begun = self.load, sought.resisted
+        motions = self._bodies.motions
         linear = self._as_before(u, t)
         if linear is None:
-            linear = self._iterate_from(u, self.load)
+            linear = self._iterate_from(u, self.load, motions)
         resting, more = self._rested()
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
@@ -230,6 +236,8 @@ class PathSolver(SnesSolver):
         if converged and not abs(self._missed(values, load)) <= MISSED * unit:
             converged, sought.reason = False, "the measure did not grow by what it should"
         self.load = self.t = load if converged else of.load0
+        if not converged:
+            self._bodies.place(motions)
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), linear + more)
         if converged:
             result = replace(result, negative_pivots=self._pivots())
@@ -245,24 +253,37 @@ class PathSolver(SnesSolver):
         follows = damage is None or (damage.forces_have_energy and not damage.frozen)
         if self._change is None or u is not self._before or self._constraint.share != 0.0 or not follows:
             return None
-        change, of_load = self._change
-        load = self.load + growth * of_load
-        sought.impose(load, *(load * one for one in self._whole))
+        change, of_load, of_motions = self._change
+        load, motions = self.load + growth * of_load, growth * of_motions
+        begun = self._bodies.motions
+        self._bodies.place(motions)
+        self._impose(load)
         ahead = sought.at_prescribed(u + growth * change)
         if not self.problem.admissible(self.problem.state(ahead, load)):
+            self._bodies.place(begun)
             return None
-        linear = self._iterate_from(ahead, load)
+        linear = self._iterate_from(ahead, load, motions)
         if self.snes.getConvergedReason() > 0 or self.stop():
             return linear
         sought.reason = ""
         sought.norms.clear()
         sought.forget()
+        self._bodies.place(begun)
         return None
 
-    def _iterate_from(self, u: Float, load: float) -> int:
-        """Run SNES from unknowns and a load factor; return the linear iterations."""
-        self._bordered.put(self._x, u / self._scales.length, load)
+    def _iterate_from(self, u: Float, load: float, motions: Float) -> int:
+        """Run SNES from unknowns, a load factor and motions; return the linear iterations."""
+        self._bordered.put(self._x, u / self._scales.length, np.append(load, motions / self._scales.length))
         return self._iterate(u)
+
+    def _impose(self, load: float) -> None:
+        """Set the conditions of a load factor, with the bodies where they are."""
+        prescribed, loads = (load * one for one in self._whole)
+        on_bodies = self._bodies.loads
+        if len(on_bodies):
+            prescribed = self.problem.supports.prescribed(load)
+            self._equilibrium.carry(abs(load) * float(np.abs(on_bodies).sum()), self._bodies.way)
+        self._equilibrium.impose(load, prescribed, loads)
 
     def _use_tangent(self) -> None:
         """Border the new matrices of the tangent."""
@@ -286,12 +307,12 @@ class PathSolver(SnesSolver):
             # Hold the stretch of the currently most stretched bonds while the others adapt.
             broken += more
             self._aim(attempt, 1.0)
-            before, load = attempt, self.load
+            before, at = attempt, self._at
             attempt, result, sweeps = self._settle(before, 0.0)
             if not result.converged or abs(self.load) > LEAP * self._highest:
                 # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
-                self.load = load
-                self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
+                self._return_to(at)
+                self._constraint = Constraint(np.zeros_like(u), 1.0, before, self.load)
                 attempt, result, sweeps = self._settle(before, 0.0)
         return attempt, result, broken, swept
 
@@ -304,7 +325,7 @@ class PathSolver(SnesSolver):
         """
         swept = 0
         for _ in range(BACK):
-            reached, load = self._measure.reached(u, self.load), self.load
+            reached, at = self._measure.reached(u, self.load), self._at
             if reached <= most * (1.0 + BAND):
                 break
             stored = damage_of(self).stored()
@@ -312,7 +333,7 @@ class PathSolver(SnesSolver):
             attempt, again, sweeps = self._settle(u, most - reached)
             if not again.converged or self._measure.reached(attempt, self.load) >= reached:
                 self.problem.reset_bonds(stored)
-                self.load = self.t = load
+                self._return_to(at)
                 break
             u, result, swept = attempt, again, swept + sweeps
         return u, result, swept
@@ -323,7 +344,7 @@ class PathSolver(SnesSolver):
         Newton with damage that follows the displacement is tried first. If bonds that unload and reload prevent
         convergence, equilibrium with damage held and damage at that equilibrium alternate.
         """
-        problem, load = self.problem, self.load
+        problem, at = self.problem, self._at
         problem.freeze(False)
         attempt, result = self.solve(u, size)
         if not problem.softens or self.stop():
@@ -334,9 +355,18 @@ class PathSolver(SnesSolver):
             if self.stop() or (result.converged and change <= LAST):
                 return attempt, result, 0
         problem.reset_bonds(stored)
-        self.load = load
+        self._return_to(at)
         attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
         return attempt, result, sweeps
+
+    @property
+    def _at(self) -> tuple[float, Float]:
+        """Return load factor and motions, to which ``_return_to`` returns."""
+        return self.load, self._bodies.motions
+
+    def _return_to(self, at: tuple[float, Float]) -> None:
+        self.load = self.t = at[0]
+        self._bodies.place(at[1])
 
     def _aim(self, u: Float, step: float) -> float:
         """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
@@ -347,10 +377,12 @@ class PathSolver(SnesSolver):
         return min(step, self._measure.left(u))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return unknowns and load factor of a vector, and set the conditions to that load factor."""
+        """Return unknowns and load factor of a vector, and set motions and conditions to it."""
         sought = self._equilibrium
-        values, load = self._bordered.split(x)
-        sought.impose(load, load * self._whole[0], load * self._whole[1])
+        values, last = self._bordered.split(x)
+        load = float(last[0])
+        self._bodies.place(last[1:] * self._scales.length)
+        self._impose(load)
         at, resisted = self._begun
         sought.resisted = (load - at) * resisted
         return values * self._scales.length, load
@@ -376,22 +408,50 @@ class PathSolver(SnesSolver):
         return self._constraint.grown(self._comm, self._equilibrium.at_prescribed(values), load) - self._target
 
     def _other_residuals(self, x: PETSc.Vec) -> Float:
-        """Return the residual of the constraint, on the last rank."""
-        residual = self._force / self._scales.force * self._missed(*self._take(x))
-        return np.full(x.getLocalSize() - self._n_u, residual)
+        """Return the residuals of the constraint and of the balance of rigid bodies, on the last rank."""
+        values, load = self._take(x)
+        off, _ = self._bodies.unbalanced_at(self._equilibrium.state(values))
+        found = np.append(self._force * self._missed(values, load), off) / self._scales.force
+        return found[: x.getLocalSize() - self._n_u]
+
+    def _others_converged(self, x: PETSc.Vec) -> bool:
+        """Return True if the rigid bodies are in equilibrium with their loads."""
+        return self._bodies.balanced(self._equilibrium.state(self._read(x)), self.rtol)
+
+    def _balanced(self, state: State) -> None:
+        """Return None: the motions of rigid bodies are among the unknowns."""
+
+    def _reply(self, force: Float) -> Float:
+        answer = self._bordered.answer(force.ravel() / self._scales.force)
+        return answer.reshape(force.shape) * self._scales.length
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
-        u = self._read(x)
-        state = sought.state(u)
-        sought.assemble(u)
-        whole, external = self._whole
-        column = supports.reduced(self.problem.linearised(state)(self._held) - external)
-        along = row.share + float(total(self._comm, float((row.of * self._held).sum())))
-        share = self._force / scales.force
+        state = sought.state(self._read(x))
+        sought.assemble(state.u)
+        bodies = self._bodies.coupled(state)
+        # Load factor, then motions: displacements if independent unknowns do not move, and what each adds to loads.
+        held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
+        whole = np.concatenate([self._whole[0][None], bodies.carried])
+        by_load = np.eye(len(held))[0]
+        columns, of_bodies = [], []
+        for du, given, motion, load in zip(held, whole, motions, by_load, strict=True):
+            force = supports.reduced(bodies.force(du, motion) - load * self._whole[1])
+            columns.append(np.where(sought.supported, -scales.stiffness * given, force))
+            of_bodies.append(bodies.resultants(du, motion, load))
+        of, still = supports.reduced(row.of), motions[0]
+
+        def rows(y: Float) -> Float:
+            u = y.reshape(of.shape)
+            grown = float(total(self._comm, float((of * u).sum())))
+            return np.append(self._force * grown, bodies.resultants(supports.completed(u), still)) * by_unit
+
+        by_unit = scales.length / scales.force
+        grown = row.share * by_load + [float(total(self._comm, float((row.of * du).sum()))) for du in held]
+        corner = np.concatenate([self._force * grown[None], np.stack(of_bodies, axis=1)]) / scales.force
+        # Motions are in units of the displacements.
+        units = np.where(by_load > 0.0, 1.0, scales.length)
         self._bordered.enough = ENOUGH * sought.tolerance / scales.force
         self._bordered.border(
-            np.where(sought.supported, -scales.stiffness * whole, column) / scales.force,
-            share * scales.length * supports.reduced(row.of),
-            share * along,
+            [unit * c / scales.force for unit, c in zip(units, columns, strict=True)], rows, corner * units
         )

@@ -52,8 +52,9 @@ class RigidRegion(RigidMotion, _Support):
 
     Particles are chosen as by ``Clamp``; of a ``Lattice`` also those of any region, which are then held themselves.
     ``Reaction`` and ``ReactionMoment`` of the region are the force and the moment that move it, in a motion less those
-    of its inertia. With ``force`` or ``moment`` the motion follows from these loads, with ``Newton``, ``Implicit`` or
-    ``Explicit``. In a motion the particles have their mass, and begin with the momentum and angular momentum of
+    of its inertia. With ``force`` or ``moment`` the motion follows from these loads, with ``Newton``,
+    ``PathFollowing``, ``Implicit`` or ``Explicit``; with ``Modes`` the region is a rigid mass that moves in the free
+    directions. In a motion the particles have their mass, and begin with the momentum and angular momentum of
     ``InitialVelocity``.
 
     With ``moment`` take a material for large rotations, such as ``NeoHookean``. Those of small strain resist the

@@ -164,6 +164,21 @@ def with_tolerance(ksp: PETSc.KSP, rtol: float) -> Iterator[None]:
         ksp.setTolerances(rtol=before)
 
 
+@contextlib.contextmanager
+def with_solves_to(snes: PETSc.SNES, rtol: float) -> Iterator[None]:
+    """Let solves with the linear solver of SNES end at a relative tolerance in the ``with`` block.
+
+    With ``-snes_ksp_ew`` PETSc would give each of them the tolerance of a Newton iteration, also outside of ``solve``.
+    """
+    forcing = snes.getUseEW()
+    snes.setUseEW(False)
+    try:
+        with with_tolerance(snes.getKSP(), rtol):
+            yield
+    finally:
+        snes.setUseEW(forcing)
+
+
 def start_anew(ksp: PETSc.KSP) -> None:
     """Reset a factorisation that failed, since PETSc's MUMPS would not try the next matrix (collective).
 

@@ -64,6 +64,8 @@ class RigidBody:
         Components of displacement and rotation that follow from the load.
     inertia : RigidInertia or None
         Mass and moments of inertia; None for a body without mass.
+    fictitious : bool
+        As given.
     kept : (n, n_kept) float64
         Displacement, rotation and rates of the last converged step for a restart, the same for each owner.
     """
@@ -73,7 +75,7 @@ class RigidBody:
         fictitious: bool = False,
     ) -> None:  # fmt: skip
         self.declared, self.rows, self.title = declared, rows, title
-        self._comm, self._dim, self._fictitious = comm, dim, fictitious
+        self._comm, self._dim, self.fictitious = comm, dim, fictitious
         self.free = declared.free(dim)
         self._of = np.array(COMPONENTS[dim])
         self._free = self._in_space(self.free) > 0.0
@@ -117,7 +119,7 @@ class RigidBody:
         CaseError
             On all ranks: the load does not determine the motion, or an axis has no moment of inertia.
         """
-        if self._fictitious:
+        if self.fictitious:
             raise CaseError(
                 f"{self.title} is the layers beyond a side of a Lattice, which have no mass of their own. Use "
                 f"LatticeNodes, or name a region of particles."

@@ -21,9 +21,12 @@ from pdpetsc.output.records import Table
 from pdpetsc.post.quantities import Quantity
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.rigid_body import RigidBody
+from pdpetsc.problem.scales import scales_of
 from pdpetsc.running.build import materials_of
 from pdpetsc.solvers.eigenvectors import EXACT, converged, led, of_inverse
 from pdpetsc.solvers.protocol import Converged, Flexibility, Solver
+from pdpetsc.solvers.rigid_bodies import RigidBodies
 
 # Displacement over the mean spacing in derivatives of quantities.
 SMALL = 1e-4
@@ -116,6 +119,12 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
     if declared.response is not None and on_path:
         raise CaseError(f"{on_path[0]!r} of the history depends on the path of the load, and does not oscillate.")
     if declared.of == "frequency":
+        layers = [rigid.title for _, rigid in problem.rigid_bodies if rigid.fictitious]
+        if layers:
+            raise CaseError(
+                f"{layers[0]} is the layers beyond a side of a Lattice, which have no mass of their own. For "
+                f"frequencies use LatticeNodes, or name a region of particles."
+            )
         without = [type(ungraded(one)).__name__ for _, one in case.materials if ungraded(one).density is None]
         if without:
             raise CaseError(f"Modes need the density of each material, and {without[0]} has none.")
@@ -129,10 +138,20 @@ def has_no_modes(case: Case, problem: Problem) -> str:
         return "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     if not problem.symmetric:
         return "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
-    if problem.rigid_bodies:
-        return "hold rigid bodies where they are, and do not go with one whose motion follows from a load"
+    wrong = next((why for _, rigid in problem.rigid_bodies if (why := has_no_energy(rigid, problem.dim))), "")
+    if wrong:
+        return wrong
     if not isinstance(case.solver, Newton):
         return "need the tangent of load steps: let the solver be Newton()"
+    return ""
+
+
+def has_no_energy(rigid: RigidBody, dim: int) -> str:
+    """Return the reason if modes do not move a loaded rigid body, else an empty string."""
+    if rigid.rows is None:
+        return "hold tools where they are, and do not go with one whose motion follows from a load"
+    if dim == 3 and np.any(np.ravel(rigid.declared.moment)):
+        return "need loads with an energy, which a moment of fixed direction in space does not have"
     return ""
 
 
@@ -189,9 +208,10 @@ def response(
     problem, n, comm = last.problem, len(last.u), last.cloud.comm
     if min(frequencies, default=0.0) <= 0.0:
         raise SolveError("The last equilibrium is unstable, and does not vibrate about it.")
-    loads = problem.external_force(last.state)
-    if largest(comm, float(np.abs(problem.supports.reduced(loads)).max(initial=0.0))) == 0.0:
+    loads, on_bodies = problem.external_force(last.state), RigidBodies(problem, 1.0).on_particles(last.state)
+    if largest(comm, float(np.abs(problem.supports.reduced(loads) + on_bodies).max(initial=0.0))) == 0.0:
         raise SolveError("No load acts on free particles in the last equilibrium, so that none can oscillate. Add one.")
+    loads += on_bodies
     static = _flexibility(solver, last.unknowns, last.t)(loads)
     reach = SMALL * float(total(comm, float(last.volume.sum())) / problem.body.cloud.n_global) ** (1.0 / problem.dim)
 
@@ -223,7 +243,7 @@ def buckling(
     The tangent is extrapolated from the first to the last of the ``ends``, unknowns and load parameters. Errors as for
     ``frequencies``. Collective.
     """
-    supports, n = problem.supports, problem.body.cloud.n_owned
+    n = problem.body.cloud.n_owned
     (u0, t0), (u1, t1) = ends[0], ends[-1]
     flexible = _flexibility(solver, u0, t0)
     flexible(np.zeros_like(u0))
@@ -232,27 +252,28 @@ def buckling(
             f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable; apply a "
             f"smaller load."
         )
-    stiff = problem.linearised(problem.state(u0, t0))
-    loaded = problem.linearised(problem.state(u1, t1))
-    free = ~supports.fixed[:n]
+    scales = scales_of(problem.body, problem.material_term)
+    bodies = RigidBodies(problem, scales.length)
+    stiff, loaded = (bodies.coupled(problem.state(u, t)) for u, t in ((u0, t0), (u1, t1)))
+    free = ~problem.supports.fixed[:n] | stiff.regions[:n, None]
 
     def unpacked(y: Float) -> Float:
         values = np.zeros_like(u0)
         values[:n][free] = y
         return values
 
-    def against(*signed: tuple[float, Callable[[Float], Float]]) -> Callable[[Float], Float]:
-        def product(y: Float) -> Float:
-            moved, force = supports.completed(unpacked(y)), np.zeros_like(u0)
-            for sign, tangent in signed:
-                force += sign * tangent(moved)
-            return np.asarray(supports.reduced(force)[:n][free])
+    def softening(y: Float) -> Float:
+        return np.asarray((stiff.product(unpacked(y)) - loaded.product(unpacked(y)))[:n][free])
 
-        return product
+    # Displacements of the particles of a region that are no motion of it have no meaning; springs resist them.
+    def stiffness(y: Float) -> Float:
+        force = stiff.product(unpacked(y)) + scales.stiffness * stiff.beside(unpacked(y))
+        return np.asarray(force[:n][free])
 
     def inverse(y: Float) -> Float:
         # The forces are those on independent unknowns already.
-        return np.asarray(flexible(unpacked(y))[:n][free])
+        moved = flexible(unpacked(y)) + stiff.beside(unpacked(y)) / scales.stiffness
+        return np.asarray(moved[:n][free])
 
     def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
         A, M, Minv = (
@@ -260,12 +281,12 @@ def buckling(
         )
         return converged(A, count, M=M, Minv=Minv, which="LA", v0=start)
 
-    operators = {"A": against((1.0, stiff), (-1.0, loaded)), "M": against((1.0, stiff)), "Minv": inverse}
+    operators = {"A": softening, "M": stiffness, "Minv": inverse}
     values, vectors = led(problem, operators, free, solve)
     found = []
     for value, y in zip(values, vectors, strict=True):
         if value > EXACT:
-            shape = supports.completed(unpacked(y[free]))[:n]
+            shape = stiff.completed(unpacked(y[free]))[0][:n]
             size = largest(problem.body.cloud.comm, float(np.abs(shape).max(initial=0.0)))
             found.append(((t0 + (t1 - t0) / float(value)) / t1, shape / size))
     found.sort(key=lambda one: one[0])

@@ -29,6 +29,8 @@ class Stability(Observer):
         wrong = has_no_modes(self._case, start.problem)
         if not wrong and start.problem.touches:
             wrong = "do not go with contact"
+        if not wrong and start.problem.rigid_bodies:
+            wrong = "do not go with rigid bodies whose motion follows from a load"
         if wrong:
             raise CaseError(
                 f'Steps(unstable="switch") needs modes of the tangent, and modes {wrong}. Use unstable="shorten".'

@@ -19,15 +19,18 @@ from pdpetsc.petsc.library import (
     linear_solver,
     negative_pivots,
     start_anew,
+    with_solves_to,
 )
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.branch import BranchSwitch
+from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.equilibrium import SETTLINGS, UNBALANCED
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
+from pdpetsc.solvers.rigid_bodies import CoupledInverse
 from pdpetsc.solvers.snes import SnesSolver
 
 # Line search for a zero of the residual along the step. If a loose piece rotates, its steps become tiny; full steps do
@@ -142,18 +145,18 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome."""
         return BranchSwitch(self, self._equilibrium, self._inverse_at).stable(u, result)
 
-    def _inverse_at(self, u: Float) -> Flexibility:
-        """Return the inverse of the tangent at ``u`` and the load parameter of the last solve."""
+    def _inverse_at(self, u: Float, rtol: float = EXACT) -> Flexibility:
+        """Return the inverse of the tangent at ``u`` and the load parameter of the last solve, to a tolerance."""
         state = self.state(u)
         self._equilibrium.update(state)
-        return _Inverse(self, u, state)
+        return _Inverse(self, u, state, rtol)
 
     def flexibility(self, u: Float, t: float, rtol: float) -> Flexibility:
         """Return the inverse of the tangent at an equilibrium."""
         self.t = t
         self._equilibrium.impose(t)
-        self.snes.getKSP().setTolerances(rtol=rtol)
-        return self._inverse_at(u)
+        held = self._inverse_at(u, rtol)
+        return held if self._rigid is None else CoupledInverse(self._rigid.coupled(self.state(u)), held)
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
@@ -252,7 +255,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
         more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
-        change = sought.held_in_place(more.ravel(), u, self._roughly, self.rtol).reshape(u.shape) + jump
+        change = sought.held_in_place(more.ravel(), u, self._answer, self.rtol).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self._comm, float(change.sum()))))
         return sought.at_prescribed(u + (change if finite else jump)), iterations
 
@@ -275,14 +278,15 @@ class StaticSolver(SnesSolver, LoadStepSolver):
 class _Inverse(Flexibility):
     """The inverse of the tangent that a solver holds."""
 
-    def __init__(self, solver: StaticSolver, u: Float, state: State) -> None:
-        self._solver, self._u, self._state = solver, u, state
+    def __init__(self, solver: StaticSolver, u: Float, state: State, rtol: float) -> None:
+        self._solver, self._u, self._state, self._rtol = solver, u, state, rtol
 
     def __call__(self, force: Float) -> Float:
         solver, supports = self._solver, self._solver.problem.supports
         if solver._all_prescribed:
             return np.zeros_like(self._u)
-        found, _ = solver._linear_step(self._u, self._state, supports.reduced(force))
+        with with_solves_to(solver.snes, self._rtol):
+            found, _ = solver._linear_step(self._u, self._state, supports.reduced(force))
         if solver.snes.getKSP().getConvergedReason() < 0:
             raise SolveError("The tangent of the last equilibrium cannot be solved: the linear solver failed.")
         return supports.completed(found)

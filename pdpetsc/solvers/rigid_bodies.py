@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.rigid_body import MOST_TURN, RigidBody
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
+from pdpetsc.solvers.protocol import Flexibility
 
 # Loads and forces on the body agree if they differ by at most this share of the larger.
 TOLERANCE = 1e-8
@@ -141,6 +143,60 @@ class CoupledTangent:
         loads = np.concatenate([side.rigid.load(1.0) for side in self._sides])
         return np.asarray(self._scale * (total(self._problem.body.cloud.comm, np.concatenate(found)) - load * loads))
 
+    @cached_property
+    def spread(self) -> Float:
+        """Return forces on the particles of regions with a unit resultant for each motion (n, n_rows, dim) [-]."""
+        moved = np.where(self.regions[:, None], self.carried, 0.0)
+        comm = self._problem.body.cloud.comm
+        of_motions = total(comm, np.einsum("kpi,lpi->kl", moved, moved))
+        return np.asarray(np.einsum("kl,lpi->kpi", np.linalg.pinv(of_motions, hermitian=True), moved))
+
+    @cached_property
+    def regions(self) -> Mask:
+        """Return the particles of regions (n_rows,)."""
+        found = np.zeros(len(self._problem.supports.fixed), dtype=bool)
+        for side in self._sides:
+            if side.rigid.rows is not None:
+                found |= side.rigid.rows
+        return found
+
+    def completed(self, y: Float) -> tuple[Float, Float]:
+        """Return the displacements (n_rows, dim) and motions (n,) of independent entries ``y`` (n_rows, dim).
+
+        Those of the particles of a region have the motion of their least squares.
+        """
+        motions = self.loads_of(y, self.spread)
+        return self._problem.supports.completed(y) + np.einsum("k,kpi->pi", motions, self.carried), motions
+
+    def beside(self, y: Float) -> Float:
+        """Return the part of entries (n_rows, dim) on particles of regions that is no motion of a region."""
+        motions = self.loads_of(y, self.spread)
+        rigid = np.einsum("k,kpi->pi", motions, self.carried)
+        return np.where(self.regions[:, None], y - rigid, 0.0)
+
+    def product(self, y: Float) -> Float:
+        """Compute the product with independent entries (n_rows, dim), symmetric if the tangent is."""
+        du, motions = self.completed(y)
+        of_regions = np.einsum("k,kpi->pi", self.resultants(du, motions), self.spread)
+        return np.asarray(self._problem.supports.reduced(self.force(du, motions)) + of_regions)
+
+    def loads_of(self, forces: Float, ways: Float | None = None) -> Float:
+        """Return the resultants (n,) of forces on particles (n_rows, dim), by default those of ``carried``."""
+        ways = self.carried if ways is None else ways
+        return np.asarray(total(self._problem.body.cloud.comm, np.einsum("kpi,pi->k", ways, forces)))
+
+    def responses(self, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
+        """Return the derivative of the resultants by the motions (n, n), and the ways of the particles for each motion.
+
+        ``answer`` solves the tangent with still bodies for forces (n_rows, dim).
+        """
+        ways, columns, supports = [], [], self._problem.supports
+        for motion, carried in zip(np.eye(len(self.carried)), self.carried, strict=True):
+            force = supports.reduced(self.force(carried, motion))
+            ways.append(supports.completed(answer(-force)) + carried)
+            columns.append(self.resultants(ways[-1], motion))
+        return np.stack(columns, axis=1), np.stack(ways)
+
     def _parts(self, motions: Float) -> list[Float]:
         """Return velocities and angular velocities of each body."""
         return np.split(self._rates @ motions, np.cumsum([len(held) for held in self._held]))[:-1]
@@ -148,6 +204,42 @@ class CoupledTangent:
     def _by_tools(self, parts: Sequence[Float]) -> list[Float]:
         """Return the change of the residual by each tool (n_rows, dim), 0 for regions."""
         return [np.einsum("k,kpi->pi", part, held) for part, held in zip(parts, self._held, strict=True)]
+
+
+class CoupledInverse(Flexibility):
+    """The inverse of the tangent by displacements and motions of rigid regions.
+
+    Parameters
+    ----------
+    tangent : CoupledTangent
+        The tangent.
+    inverse : Flexibility
+        Its inverse with still bodies.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    def __init__(self, tangent: CoupledTangent, inverse: Flexibility) -> None:
+        self._tangent, self._inverse = tangent, inverse
+        self._S, self._ways = tangent.responses(inverse)
+
+    def __call__(self, force: Float) -> Float:
+        tangent, held = self._tangent, self._inverse(force)
+        off = tangent.loads_of(force) - tangent.resultants(held, np.zeros(len(self._S)))
+        motions = np.linalg.lstsq(self._S, off, rcond=FREE)[0]
+        return np.asarray(held + np.einsum("k,kpi->pi", motions, self._ways))
+
+    def negative_pivots(self) -> int | None:
+        found = self._inverse.negative_pivots()
+        return None if found is None else found + negative(self._S)
+
+
+def negative(S: Float) -> int:
+    """Return the number of negative eigenvalues of the symmetric part of a matrix."""
+    values = np.linalg.eigvalsh(0.5 * (S + S.T))
+    return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
 
 
 class RigidBodies:
@@ -230,11 +322,26 @@ class RigidBodies:
         off, size = self.unbalanced_at(state)
         return bool(np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size))
 
-    def coupled(self, state: State) -> CoupledTangent:
-        """Return the derivatives of residual and ``unbalanced_at`` by displacements and ``motions``."""
+    def coupled(self, state: State, rates: Float | None = None) -> CoupledTangent:
+        """Return the derivatives of the residual and of ``unbalanced_at``.
+
+        They are those by displacements and further motions, angles times the size of the body, or by motions with these
+        ``rates``.
+        """
         sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
-        spins = block_diag(np.zeros((0, 0)), *[rigid.spins for _, rigid in self._bodies])
-        return CoupledTangent(self._problem, sides, state, spins * scale, scale)
+        return CoupledTangent(self._problem, sides, state, np.diag(scale) if rates is None else rates * scale, scale)
+
+    def on_particles(self, state: State) -> Float:
+        """Return forces on the particles of regions with the loads on them as resultants (n_rows, dim) [force]."""
+        if not self._bodies:
+            return np.zeros_like(state.u)
+        loads = np.concatenate([rigid.load(state.t) for _, rigid in self._bodies]) * self._scale
+        return np.asarray(np.einsum("k,kpi->pi", loads, self.coupled(state).spread))
+
+    @property
+    def spins(self) -> Float:
+        """Return the velocities and angular velocities for unit rates of displacements and rotation vectors (n, n)."""
+        return np.asarray(block_diag(np.zeros((0, 0)), *[rigid.spins for _, rigid in self._bodies]))
 
     def moved(self, state: State, inverse: Callable[[], Callable[[Float], Float]], rtol: float) -> Float | None:
         """Move the bodies towards equilibrium with their loads, by one Newton step.
@@ -298,8 +405,7 @@ class RigidBodies:
         sides = [self._side(*body, state) for body in self._bodies]
         scale = self._scale
         S = self._stiffness(sides, state, answer)[0] * scale[:, None] * scale
-        values = np.linalg.eigvalsh(0.5 * (S + S.T))
-        return int(np.count_nonzero(values < -FREE * np.abs(values).max()))
+        return negative(S)
 
     def _side(self, term: Term, rigid: RigidBody, state: State, linear: bool = True) -> _Side:
         """Return the forces and velocities of a body at a state, and its tangent if ``linear``."""
@@ -353,18 +459,11 @@ class RigidBodies:
 
     def _stiffness(self, sides: Sequence[_Side], state: State, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
         """Return the derivative of the resultants by the motions, and the ways of the particles for each motion."""
-        problem, supports = self._problem, self._problem.supports
-        linear = CoupledTangent(problem, sides, state)
-        ways, columns = [], []
-        for motion, carried in zip(np.eye(len(linear.carried)), linear.carried, strict=True):
-            force = linear.force(carried, motion)
-            ways.append(supports.completed(answer(-supports.reduced(force))) + carried)
-            columns.append(linear.resultants(ways[-1], motion))
-        S = np.stack(columns, axis=1)
+        S, ways = CoupledTangent(self._problem, sides, state).responses(answer)
         if self._inertia is not None and state.clock.dt > 0.0:
             blend = self._inertia.blend
             S += block_diag(*[side.rigid.stiffness_in_step(blend, state.t, state.clock.dt) for side in sides])
-        return S, np.stack(ways)
+        return S, ways
 
     def unbalanced(self, state: State, forces: tuple[Float, Float], damping: Float) -> list[Float]:
         """Return for each body the loads that nothing balances (n_free,).

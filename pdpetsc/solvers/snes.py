@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.petsc.library import forces_iteration, set_domain_error, with_tolerance
+from pdpetsc.petsc.library import forces_iteration, set_domain_error, with_solves_to, with_tolerance
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -21,7 +21,8 @@ from pdpetsc.solvers.unique import refuse_mechanism
 
 # Tolerance of intermediate equilibria.
 LOOSE = 1e-3
-# Tolerance of the solve for the motion of loose particles, of which this share then stays in a Newton step.
+# Tolerance of solves for the motion of loose particles, of which this share then stays in a Newton step, and for the
+# response to motions of rigid bodies.
 ROUGH = 1e-5
 
 
@@ -249,24 +250,19 @@ class SnesSolver(StepSolver):
         return found + self._rigid.unstable(self.problem.state(at, self._equilibrium.t), self._reply)
 
     def _answer(self, b: Float) -> Float:
-        """Solve the last tangent for forces ``b``; return the unknowns (n,) [length]."""
+        """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""
         forces, found = self._r.duplicate(), self._x.duplicate()
         forces.set(0.0)
         forces.array_w[: b.size] = b.ravel() / self._scales.force
         ksp = self.snes.getKSP()
-        ksp.solve(forces, found)
+        with with_solves_to(self.snes, ROUGH):
+            ksp.solve(forces, found)
         if ksp.getConvergedReason() < 0:
             found.set(0.0)
         answer = np.asarray(found.array_r * self._scales.length)
         forces.destroy()
         found.destroy()
         return answer
-
-    def _roughly(self, b: Float) -> Float:
-        """Solve the last tangent for forces to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""
-        ksp = self.snes.getKSP()
-        with with_tolerance(ksp, max(ksp.getTolerances()[0], ROUGH)):
-            return self._answer(b)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         residual = self._equilibrium.residual(self._read(x))
@@ -295,7 +291,7 @@ class SnesSolver(StepSolver):
                 y.scale(-1.0)
         if not sought.resting:
             step = y.array_r * self._scales.length
-            y.array = sought.held_in_place(step, self._read(x), self._roughly, self.rtol) / self._scales.length
+            y.array = sought.held_in_place(step, self._read(x), self._answer, self.rtol) / self._scales.length
         moved = x.duplicate()
 
         def after(part: float) -> Float:

@@ -135,6 +135,96 @@ def test_tension_raises_a_frequency_and_compression_beyond_buckling_makes_it_neg
     assert pressed < 0.0
 
 
+@pytest.mark.parametrize("of", ["frequency", "buckling"])
+def test_a_tangent_without_a_matrix_has_the_same_modes(of, tmp_path):
+    """Newton's method solves its linear systems to 1e-3 only, the modes of a nonlinear body to round-off."""
+    mass = [pd.Clamp("-x"), pd.RigidRegion(pd.region.Slab("x", low=4.0), force=(-0.1, 0.0))]
+    case = with_mass(True, 1.0, modes=pd.Modes(2, of=of), conditions=mass)
+    one, other = (
+        pd.run(case, tmp_path / kind, options={"pd_jacobian": kind, "ksp_type": solver})
+        for kind, solver in (("assembled", "preonly"), ("matfree", "cg"))
+    )
+    names = [f"{of}_1", f"{of}_2"]
+    assert [other[name] for name in names] == pytest.approx([one[name] for name in names], rel=1e-7)
+
+
+def with_mass(rigid, stiff=1e4, **changes):
+    """Return a plane strip whose right part is heavy and stiff, or rigid."""
+    nodes = pd.LatticeNodes((0.0, 0.0), (5.0, 0.5), 0.125)
+    right = pd.region.Slab("x", low=4.0)
+    light, heavy = (
+        pd.NeoHookean(E=modulus, nu=0.0, plane="stress", density=density)
+        for modulus, density in ((E, RHO), (stiff * E, 10.0 * RHO))
+    )
+    free = [pd.RigidRegion(right, force=(0.0, 0.0), moment=0.0, about=(4.5, 0.25))] if rigid else []
+    given = {"material": [(~right, light), (right, heavy)], "conditions": [pd.Clamp("-x"), *free]}
+    return pd.Case(nodes, **{**given, "horizon": 0.252, "modes": pd.Modes(3), **changes})
+
+
+def test_a_strip_with_a_rigid_mass_vibrates_as_with_a_stiff_one(tmp_path):
+    stiff, rigid = (pd.run(with_mass(kind), tmp_path / str(kind)) for kind in (False, True))
+    names = [f"frequency_{number}" for number in (1, 2, 3)]
+    assert [rigid[name] for name in names] == pytest.approx([stiff[name] for name in names], rel=0.02)
+    # The mass turns as a rigid body, with the displacements of its middle line.
+    shape, x = rigid.mode(1), rigid.x
+    right = x[:, 0] > 3.99
+    turn = np.polyfit(x[right, 0], shape[right, 1], 1)[0]
+    np.testing.assert_allclose(shape[right, 0], -turn * (x[right, 1] - 0.25), atol=1e-3 * np.abs(shape).max())
+
+
+def test_a_bar_with_a_rigid_mass_vibrates_and_responds_as_it_should(tmp_path):
+    """``k l tan(k l) = m / M`` of a bar of length l and mass m; a slow force F moves the mass M by ``F l / (E A)``."""
+    right = pd.region.Slab("x", low=7.95)
+    mass = pd.RigidRegion(right, force=(0.05,))
+    at = [0.0, 0.01, 0.05]
+    modes = pd.Modes(2, response=pd.FrequencyResponse(at, ratio=0.01))
+    heavy = [(right, pd.LinearElastic(E=E, nu=0.0, density=4.0 * RHO)), (~right, bar().material)]
+    history = {"end": pd.Mean(pd.displacement, "x", "+x")}
+    case = bar(material=heavy, conditions=[pd.Clamp("-x"), mass], modes=modes, history=history)
+    run = pd.run(case, tmp_path)
+    length, ratio = 8.0, 7.95 / (4.0 * 2.05)
+    k = [brentq(lambda k: k * np.tan(k) - ratio, low + 1e-9, low + 0.5 * np.pi - 1e-6) for low in (0.0, np.pi)]
+    exact = np.array(k) / length * np.sqrt(E / RHO) / (2.0 * np.pi)
+    np.testing.assert_allclose([run["frequency_1"], run["frequency_2"]], exact, rtol=0.01)
+    table = np.genfromtxt(tmp_path / "response.csv", delimiter=",", names=True)
+    amplitude = table["end_amplitude"]
+    assert amplitude[0] == pytest.approx(run.history["end"][-1], rel=1e-6)
+    assert amplitude[0] == pytest.approx(0.05 * length / E, rel=0.01)
+    assert amplitude[2] > amplitude[1] > amplitude[0]
+
+
+@pytest.mark.parametrize("supports", ["free", "held sideways", "guided"])
+def test_columns_under_a_rigid_cap_buckle_under_their_loads(supports, tmp_path):
+    """Half waves of 2, 0.699 and 1 lengths: a cap moves and turns, turns, or moves only; Engesser's loads."""
+    height, length = 1.0, 30.0
+    kinds = {"free": (2.0, 0.0, 0.0), "held sideways": (0.69916, None, 0.0), "guided": (1.0, 0.0, None)}
+    half, sideways, moment = kinds[supports]
+    euler = np.pi**2 * E / 12.0 / (half * length) ** 2
+    load = 1e-3 * euler / (1.0 + euler / (5.0 / 6.0 * E / 2.0))
+    turns = {"moment": 0.0, "about": (length, 0.5)} if moment is not None else {}
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (length, height), 0.125),
+        horizon=0.252,
+        material=pd.NeoHookean(E=E, nu=0.0, plane="stress"),
+        conditions=[pd.Clamp("-x"), pd.RigidRegion("+x", force=(-load, sideways), **turns)],
+        modes=pd.Modes(1, of="buckling"),
+    )
+    run = pd.run(case, tmp_path)
+    assert run["buckling_1"] == pytest.approx(1000.0, rel=0.01)
+
+
+def test_modes_refuse_rigid_bodies_that_have_none(tmp_path):
+    about = (0.5, 0.5, 1.0)
+    block = {"particles": pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.25), "horizon": 0.504}
+    twisted = pd.RigidRegion("+z", force=(0.0, 0.0, 0.0), moment=(0.0, 0.0, 1.0), about=about)
+    free = dataclasses.replace(twisted, moment=(0.0, 0.0, 0.0))
+    with pytest.raises(pd.CaseError, match="a moment of fixed direction in space does not have"):
+        pd.run(bar(**block, conditions=[pd.Clamp("-z"), twisted]), tmp_path / "twisted")
+    block["particles"] = pd.Lattice((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.25)
+    with pytest.raises(pd.CaseError, match="no mass of their own"):
+        pd.run(bar(**block, conditions=[pd.Clamp("-z"), free]), tmp_path / "layers")
+
+
 @pytest.mark.long
 def test_units_and_ranks_change_nothing(tmp_path):
     one = pd.run(bar(2), tmp_path / "one")

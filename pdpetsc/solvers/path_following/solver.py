@@ -12,7 +12,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import PathFollowing
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.petsc.library import linear_solver
+from pdpetsc.petsc.library import linear_solver, with_tolerance
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -23,7 +23,7 @@ from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import BAND, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 from pdpetsc.solvers.rigid_bodies import RigidBodies
-from pdpetsc.solvers.snes import SnesSolver
+from pdpetsc.solvers.snes import ROUGH, SnesSolver
 
 # A load factor above this multiple of the highest one so far indicates a body without load capacity.
 LEAP = 10.0
@@ -422,14 +422,15 @@ class PathSolver(SnesSolver):
         """Return None: the motions of rigid bodies are among the unknowns."""
 
     def _reply(self, force: Float) -> Float:
-        answer = self._bordered.answer(force.ravel() / self._scales.force)
+        with with_tolerance(self._bordered.ksp, ROUGH):
+            answer = self._bordered.answer(force.ravel() / self._scales.force)
         return answer.reshape(force.shape) * self._scales.length
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
         state = sought.state(self._read(x))
         sought.assemble(state.u)
-        bodies = self._bodies.coupled(state)
+        bodies = self._bodies.coupled(state, self._bodies.spins)
         # Load factor, then motions: displacements if independent unknowns do not move, and what each adds to loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
         whole = np.concatenate([self._whole[0][None], bodies.carried])

@@ -157,11 +157,15 @@ class Supports:
 
     def reduced(self, f: Float) -> Float:
         """Compute ``C^T f`` (n_rows, dim) [force], 0 for prescribed and tied components."""
-        values = np.where(self.fixed, 0.0, f)
-        if self.ties is not None:
-            n = self.body.cloud.n_owned
-            forces = self.ties.forces_on_independent(f[self.ties.all.particle, self.ties.all.axis])
-            values[:n] += np.where(self.fixed[:n], 0.0, forces)
+        return np.where(self.fixed, 0.0, self.on_independent(f))
+
+    def on_independent(self, f: Float) -> Float:
+        """Compute forces (n_rows, dim) [force], those on tied components where these depend on others."""
+        if self.ties is None:
+            return f
+        values, tied = f.copy(), (self.ties.all.particle, self.ties.all.axis)
+        values[tied] = 0.0
+        values[: self.body.cloud.n_owned] += self.ties.forces_on_independent(f[tied])
         return values
 
     def lumped_mass(self, mass: Float) -> Float:

@@ -25,12 +25,12 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.branch import BranchSwitch
+from pdpetsc.solvers.coupled_tangent import CoupledInverse
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.equilibrium import SETTLINGS, UNBALANCED
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
-from pdpetsc.solvers.rigid_bodies import CoupledInverse
 from pdpetsc.solvers.snes import SnesSolver
 
 # Line search for a zero of the residual along the step. If a loose piece rotates, its steps become tiny; full steps do

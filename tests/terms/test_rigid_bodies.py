@@ -493,6 +493,21 @@ def test_ranks_units_matrices_and_restarts_change_no_path_of_a_region(tmp_path):
     assert again == pytest.approx(one, rel=1e-9)
 
 
+def test_a_support_of_a_patch_that_the_region_is_part_of_presses_the_region(tmp_path):
+    """The strain energy is half the work of the load, and the forces on the body balance."""
+    far = pd.region.Slab("x", low=3.6)
+    region = pd.RigidRegion(far, force=(0.0, 0.01), moment=0.0, about=(4.0, 0.5))
+    patch = pd.region.Box((3.2, -0.1), (3.8, 0.1))
+    history = {
+        "held": pd.Reaction("y", "-x"), "there": pd.Reaction("y", patch | far), "strain": pd.StrainEnergy(),
+        "end": pd.Mean(pd.displacement, "y", "+x"),
+    }  # fmt: skip
+    conditions = [pd.Clamp("-x"), region, pd.PointSupport(patch, y=0.0)]
+    found = pd.run(strip(region, steps=1, conditions=conditions, history=history), tmp_path).history
+    assert found["strain"][-1] == pytest.approx(0.5 * 0.01 * found["end"][-1], rel=1e-3)
+    assert found["there"][-1] == pytest.approx(-found["held"][-1], rel=1e-6)
+
+
 def test_a_loaded_tool_has_one_contact():
     tool = disc(force=(None, -20.0))
     contacts = [pd.Contact(side, tool, name=side) for side in ("+y", "+x")]

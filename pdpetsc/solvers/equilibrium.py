@@ -43,7 +43,7 @@ BEYOND_LIMIT = "the displacement grew without bound, so that the load is likely 
 TOO_FAR = "the load would move the body by more than its own size in one step"
 # Largest number of halvings of a Newton step to keep det F > 0.
 HALVINGS = 40
-# A step with at most this number of iterations is easy.
+# A step is easy if none of its solves takes more iterations.
 EASY_ITERATIONS = 6
 
 
@@ -124,6 +124,8 @@ class Equilibrium:
         self._loads_at_start = np.zeros(fixed.shape)
         # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
+        # Most iterations of SNES, which starts again with other contacts and moved rigid bodies.
+        self._longest = 0
         self._lost = self._loaded = False
         # Largest displacement of a loaded rigid body [length], and the loads on all that are unknowns of the solve
         # [force].
@@ -231,6 +233,7 @@ class Equilibrium:
         """Return PETSc's reason if a residual norm [force] is within the tolerance or not finite, else None."""
         reason = PETSc.SNES.ConvergedReason
         self.norms.append(residual)
+        self._longest = max(self._longest, iteration)
         if not np.isfinite(residual):
             return int(reason.DIVERGED_FNORM_NAN)
         self.tolerance, floor = self._tolerance(x, rtol)
@@ -328,7 +331,7 @@ class Equilibrium:
 
         Return True if the preconditioner has a new ``Mat``, as it may after bonds have broken.
         """
-        self.norms, self.reason, self._start, self._moved = [], "", u, (0.0, 0.0)
+        self.norms, self.reason, self._start, self._moved, self._longest = [], "", u, (0.0, 0.0), 0
         if self.problem.springs is not None:
             self.problem.springs.hold(u)
         self.problem.start_from(self.problem.state(u, self.t))
@@ -386,7 +389,7 @@ class Equilibrium:
             norms=list(self.norms),
             reference=self.reference,
             iterations=iterations,
-            easy=iterations <= EASY_ITERATIONS,
+            easy=self._longest <= EASY_ITERATIONS,
             linear_iterations=linear_iterations,
         )
 

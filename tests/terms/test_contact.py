@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -49,6 +50,16 @@ def test_a_plane_presses_uniformly(cells, tmp_path):
     np.testing.assert_allclose(stress[:, 0, 0], 0.0, atol=1e-7 * E)
     assert run.history["tool_area"][-1] == pytest.approx(2.0)
     assert run.history["right"][-1] == pytest.approx(-NU * 2.0 * strain, rel=0.1 if cells else 1e-7)
+
+
+def test_adaptive_steps_grow_where_contacts_are_solved_again(tmp_path):
+    """Each solve takes few iterations, all solves of a step together more than an easy step has."""
+    ball = pd.RigidSphere((1.0, 4.0), 3.0, move=(0.0, -0.3))
+    pd.run(block(ball, material=pd.Hencky(E, NU), steps=pd.AdaptiveSteps(first=0.05, largest=0.5)), tmp_path)
+    found = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    assert max(step["newton_iterations"] for step in found) > 6
+    sizes = np.diff([0.0, *(step["t"] for step in found)])
+    np.testing.assert_allclose(sizes[1:-1], 1.5 * sizes[:-2])
 
 
 def cylinder(**given):

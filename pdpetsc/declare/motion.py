@@ -49,7 +49,8 @@ class RigidMotion(Declared):
         Factor on motions and loads as a function of the load parameter; ``Ramp()`` by default. A sequence has one for
         each direction, then one for the rotation if ``turn`` or ``moment`` is declared.
     mass : float, optional
-        Mass at ``about``, with ``force``, in a motion (``Implicit``, ``Explicit``) [mass].
+        Mass at ``about``, with ``force``, in a motion (``Implicit``, ``Explicit``) or for frequencies (``Modes``)
+        [mass].
     inertia : float, sequence of float or of such sequences, optional
         Moment of inertia of that mass about ``about``, with ``moment``, in a motion [mass length^2]. In space one
         number for all axes, three for the axes x, y, z at the start, or a symmetric matrix (3, 3) for them.

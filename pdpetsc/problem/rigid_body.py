@@ -447,6 +447,12 @@ class RigidBody:
         """Return the masses of the free components (n_free, n_free)."""
         return np.asarray(self._mass.matrix(self._pose(t))[np.ix_(self._free, self._free)])
 
+    def added_masses(self, t: float) -> Float:
+        """Return the declared masses of the free components (n_free, n_free), without those of particles."""
+        declared = self.declared
+        added = RigidInertia(declared.mass or 0.0, declared.tensor).matrix(self._pose(t))
+        return np.asarray(added[np.ix_(self._free, self._free)])
+
     @property
     def _mass(self) -> RigidInertia:
         assert self.inertia is not None

@@ -182,7 +182,8 @@ def frequencies(
     flexible(np.zeros_like(u))
     unstable = flexible.negative_pivots() or 0
     kinds = [("SA", unstable), ("LA", count)] if unstable else [("LA", count)]
-    values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds)
+    beside = _rigid_bodies(problem).beside_particles(problem.state(u, t))
+    values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds, beside)
     found = []
     for value, shape in zip(values, shapes, strict=True):
         found.append((float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value)))), shape))
@@ -208,7 +209,7 @@ def response(
     problem, n, comm = last.problem, len(last.u), last.cloud.comm
     if min(frequencies, default=0.0) <= 0.0:
         raise SolveError("The last equilibrium is unstable, and does not vibrate about it.")
-    loads, on_bodies = problem.external_force(last.state), RigidBodies(problem, 1.0).on_particles(last.state)
+    loads, on_bodies = problem.external_force(last.state), _rigid_bodies(problem).on_particles(last.state)
     if largest(comm, float(np.abs(problem.supports.reduced(loads) + on_bodies).max(initial=0.0))) == 0.0:
         raise SolveError("No load acts on free particles in the last equilibrium, so that none can oscillate. Add one.")
     loads += on_bodies
@@ -252,8 +253,7 @@ def buckling(
             f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable; apply a "
             f"smaller load."
         )
-    scales = scales_of(problem.body, problem.material_term)
-    bodies = RigidBodies(problem, scales.length)
+    bodies, spring = _rigid_bodies(problem), scales_of(problem.body, problem.material_term).stiffness
     stiff, loaded = (bodies.coupled(problem.state(u, t)) for u, t in ((u0, t0), (u1, t1)))
     free = ~problem.supports.fixed[:n] | stiff.regions[:n, None]
 
@@ -267,12 +267,12 @@ def buckling(
 
     # Displacements of the particles of a region that are no motion of it have no meaning; springs resist them.
     def stiffness(y: Float) -> Float:
-        force = stiff.product(unpacked(y)) + scales.stiffness * stiff.beside(unpacked(y))
+        force = stiff.product(unpacked(y)) + spring * stiff.beside(unpacked(y))
         return np.asarray(force[:n][free])
 
     def inverse(y: Float) -> Float:
         # The forces are those on independent unknowns already.
-        moved = flexible(unpacked(y)) + stiff.beside(unpacked(y)) / scales.stiffness
+        moved = flexible(unpacked(y)) + stiff.beside(unpacked(y)) / spring
         return np.asarray(moved[:n][free])
 
     def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
@@ -291,6 +291,11 @@ def buckling(
             found.append(((t0 + (t1 - t0) / float(value)) / t1, shape / size))
     found.sort(key=lambda one: one[0])
     return [factor for factor, _ in found], [shape for _, shape in found]
+
+
+def _rigid_bodies(problem: Problem) -> RigidBodies:
+    """Return the loaded rigid bodies, with angles of the size of displacements."""
+    return RigidBodies(problem, scales_of(problem.body, problem.material_term).length)
 
 
 def _flexibility(solver: Solver, u: Float, t: float) -> Flexibility:

@@ -120,7 +120,8 @@ class Prepared:
             The solver cannot solve this problem, or PETSc refuses an option.
         """
         declared, steps, problem = self.case.solver, self.case.steps, self.problem
-        refuse_unmet(problem, declared)
+        modes = self.case.modes
+        refuse_unmet(problem, declared, vibrates=modes is not None and modes.of == "frequency")
         make = solver_of(problem, declared).make
         filled = None
         if declared.needs.tangent != "none":

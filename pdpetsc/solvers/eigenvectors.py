@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float, Mask, irregular
-from pdpetsc.discrete.communicator import Comm, is_root
+from pdpetsc.discrete.communicator import Comm, is_root, total
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.protocol import Flexibility
@@ -21,12 +21,13 @@ ITERATIONS = 300
 
 
 def of_inverse(
-    problem: Problem, flexible: Flexibility, weight: Float, kinds: Sequence[tuple[str, int]]
-) -> tuple[Float, list[Float]]:
+    problem: Problem, flexible: Flexibility, weight: Float, kinds: Sequence[tuple[str, int]],
+    beside: Float | None = None,
+) -> tuple[Float, list[Float]]:  # fmt: skip
     """Compute eigenvalues and eigenvectors (n_owned, dim) of ``C^T K C phi = 1 / value C^T W C phi``.
 
-    They are those of ``W^1/2 C (C^T K C)^-1 C^T W^1/2``; C are the constraints. The eigenvectors are orthonormal with
-    the weights.
+    With ``W = R R^T`` they are those of ``R^T C (C^T K C)^-1 C^T R``; C are the constraints, and R is the root of the
+    weights of the particles, followed by the columns ``beside``. The eigenvectors are orthonormal with W.
 
     Parameters
     ----------
@@ -36,6 +37,8 @@ def of_inverse(
         Weights W of the own particles, such as masses or volumes.
     kinds : sequence of (str, int)
         Which eigenvalues, ``"LA"`` for the largest or ``"SA"`` for the smallest, and their number.
+    beside : (n_columns, n_rows, dim) float64, optional
+        Columns of R besides those of the particles, such as the roots of masses that move with several particles.
 
     Raises
     ------
@@ -46,19 +49,24 @@ def of_inverse(
     -----
     Collective.
     """
-    n, root = problem.body.cloud.n_owned, np.sqrt(weight)[:, None]
+    comm, n, root = problem.body.cloud.comm, problem.body.cloud.n_owned, np.sqrt(weight)[:, None]
+    columns = np.zeros((0, *problem.supports.fixed.shape)) if beside is None else beside
+    # The first rank has the entries of these columns.
+    more = len(columns) if is_root(comm) else 0
 
     def operator(y: Float) -> Float:
-        force = np.zeros(problem.supports.fixed.shape)
-        force[:n] = root * y.reshape(n, -1)
-        return np.asarray(root * flexible(force)[:n]).ravel()
+        force = np.einsum("k,kpi->pi", comm.bcast(y[len(y) - more :]), columns)
+        force[:n] += root * y[: len(y) - more].reshape(n, -1)
+        moved = flexible(force)
+        of_columns = total(comm, np.einsum("kpi,pi->k", columns, moved))
+        return np.concatenate([(root * moved[:n]).ravel(), of_columns[:more]])
 
     def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:
         A = scipy.sparse.linalg.LinearOperator((size, size), apply["A"], dtype=float)
         parts = [converged(A, min(most, size - 1), which=which, v0=start) for which, most in kinds]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts], axis=1)
 
-    values, vectors = led(problem, {"A": operator}, np.ones((n, problem.dim), dtype=bool), solve)
+    values, vectors = led(problem, {"A": operator}, np.ones((n, problem.dim), dtype=bool), solve, more)
     return values, [y / root for y in vectors]
 
 
@@ -73,7 +81,7 @@ def converged(A: Any, count: int, **given: Any) -> tuple[Float, Float]:
 
 def led(
     problem: Problem, operators: Mapping[str, Callable[[Float], Float]], taken: Mask,
-    solve: Callable[[Mapping[str, Callable[[Float], Float]], int, Float], tuple[Float, Float]],
+    solve: Callable[[Mapping[str, Callable[[Float], Float]], int, Float], tuple[Float, Float]], more: int = 0,
 ) -> tuple[Float, list[Float]]:  # fmt: skip
     """Let rank 0 solve an eigenproblem of distributed operators; return eigenvalues and eigenvectors (n_owned, dim).
 
@@ -87,11 +95,13 @@ def led(
         Unknowns of the eigenproblem.
     solve : callable
         Gets operators on the unknowns of all ranks, their number and a start, and returns eigenvalues and eigenvectors.
+    more : int
+        Number of unknowns of this rank behind those of its particles.
     """
     comm, cloud = problem.body.cloud.comm, problem.body.cloud
-    counts = np.array(comm.allgather(int(taken.sum())))
+    counts = np.array(comm.allgather(int(taken.sum()) + more))
     size, parts = int(counts.sum()), np.cumsum(counts)[:-1]
-    start = comm.gather(irregular(cloud.gid[: cloud.n_owned], problem.dim)[taken])
+    start = comm.gather(np.append(irregular(cloud.gid[: cloud.n_owned], problem.dim)[taken], np.ones(more)))
 
     def spread(name: str, y: Float) -> Float:
         """Apply an operator, on all ranks together; called on rank 0."""
@@ -119,7 +129,7 @@ def led(
     for number in range(len(values)):
         part = comm.scatter([] if found is None else np.split(found[1][:, number], parts))
         vector = np.zeros((cloud.n_owned, problem.dim))
-        vector[taken] = part
+        vector[taken] = part[: len(part) - more]
         vectors.append(vector)
     return values, vectors
 

@@ -116,6 +116,16 @@ class RigidBodies:
         sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
         return CoupledTangent(self._problem, sides, state, np.diag(scale) if rates is None else rates * scale, scale)
 
+    def beside_particles(self, state: State) -> Float:
+        """Return forces ``F`` whose sum ``F F^T`` is the declared mass on independent entries (n, n_rows, dim)."""
+        if not self._bodies:
+            return np.zeros((0, *state.u.shape))
+        masses = block_diag(*[rigid.added_masses(state.t) for _, rigid in self._bodies]) * self._scale[:, None]
+        values, axes = eigh(masses * self._scale)
+        kept = values > FREE * values.max()
+        roots = (axes * np.sqrt(np.maximum(values, 0.0)))[:, kept]
+        return np.asarray(np.einsum("km,kpi->mpi", roots, self.coupled(state).spread))
+
     def on_particles(self, state: State) -> Float:
         """Return forces on the particles of regions with the loads on them as resultants (n_rows, dim) [force]."""
         if not self._bodies:

@@ -78,11 +78,14 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
     )
 
 
-def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
-    """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective)."""
+def refuse_unmet(problem: Problem, declared: DeclaredSolver, vibrates: bool = False) -> None:
+    """Raise CaseError on all ranks if a problem does not meet the requirements of a solver (collective).
+
+    ``vibrates`` states whether frequencies of the equilibrium are sought, for which rigid bodies may have a mass.
+    """
     solver_of(problem, declared).refuse(problem)
     for _, rigid in problem.rigid_bodies:
-        _refuse_load(rigid, solver_of(problem, declared), declared)
+        _refuse_load(rigid, solver_of(problem, declared), declared, vibrates)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(
@@ -106,12 +109,13 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
         refuse_what_is_not_proportional(problem, declared.title, beyond=needs.proportional == "at any load")
 
 
-def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver) -> None:
+def _refuse_load(rigid: RigidBody, solver: type[Solver], declared: DeclaredSolver, vibrates: bool) -> None:
     """Raise CaseError if a solver does not find the motion of a loaded rigid body."""
     if solver is StaticSolver or (solver is PathSolver and rigid.rows is not None):
-        if rigid.declared.mass is not None or rigid.declared.inertia is not None:
+        if (rigid.declared.mass is not None or rigid.declared.inertia is not None) and not vibrates:
             raise CaseError(
-                f"{rigid.title} has a mass and does not move in time. Use Implicit or Explicit, or no mass."
+                f"{rigid.title} has a mass and does not move in time. Use Implicit or Explicit, frequencies by Modes, "
+                f"or no mass."
             )
         return
     if solver not in (ImplicitSolver, ExplicitSolver):

@@ -193,6 +193,44 @@ def test_a_bar_with_a_rigid_mass_vibrates_and_responds_as_it_should(tmp_path):
     assert amplitude[2] > amplitude[1] > amplitude[0]
 
 
+TIP = """
+import pdpetsc as pd
+
+def case(unit=1.0, modulus=1000.0, mass=30.0, inertia=12.0):
+    height, density = unit, 2.0
+    about = (8.0 * unit, 0.5 * unit)
+    tip = pd.RigidRegion(
+        "+x", force=(0.0, 0.0), moment=0.0, about=about, mass=mass * unit**2, inertia=inertia * unit**4
+    )
+    return pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (8.0 * unit, height), 0.125 * unit),
+        horizon=0.252 * unit,
+        material=pd.NeoHookean(E=modulus, nu=0.0, plane="stress", density=density),
+        conditions=[pd.Clamp("-x"), tip],
+        modes=pd.Modes(2),
+    )
+"""
+
+
+def test_a_beam_with_a_mass_and_a_moment_of_inertia_at_its_end_vibrates_as_it_should(tmp_path):
+    """Two frequencies of a massless beam with a rigid body at its end, and its own mass by Rayleigh's third."""
+    path = tmp_path / "tip.py"
+    path.write_text(TIP)
+    found = results(path, "mass=3000.0", "inertia=12000.0", output=tmp_path / "heavy")["results"]
+    EI, L, shear = E / 12.0, 8.0, 5.0 / 6.0 * E / 2.0
+    flexibility = np.array([[L**3 / 3.0 / EI + L / shear, L**2 / 2.0 / EI], [L**2 / 2.0 / EI, L / EI]])
+    exact = 1.0 / (2.0 * np.pi * np.sqrt(np.linalg.eigvals(flexibility @ np.diag([3000.0, 12000.0]))))
+    axial = np.sqrt(E / L / 3000.0) / (2.0 * np.pi)
+    expected = np.sort(np.append(exact, axial))[:2]
+    np.testing.assert_allclose([found["frequency_1"], found["frequency_2"]], expected, rtol=0.01)
+    one = results(path, output=tmp_path / "one")["results"]
+    for name, words, ranks in (("two", [], 2), ("free", ["-pd_jacobian", "matfree"], 2)):
+        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=1e-7)
+    small = results(path, "unit=1e-6", "modulus=1e9", output=tmp_path / "small")["results"]
+    assert {name: value * 1e-9 for name, value in small.items()} == pytest.approx(one, rel=1e-7)
+
+
 @pytest.mark.parametrize("supports", ["free", "held sideways", "guided"])
 def test_columns_under_a_rigid_cap_buckle_under_their_loads(supports, tmp_path):
     """Half waves of 2, 0.699 and 1 lengths: a cap moves and turns, turns, or moves only; Engesser's loads."""

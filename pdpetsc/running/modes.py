@@ -182,8 +182,8 @@ def frequencies(
     flexible(np.zeros_like(u))
     unstable = flexible.negative_pivots() or 0
     kinds = [("SA", unstable), ("LA", count)] if unstable else [("LA", count)]
-    beside = _rigid_bodies(problem).beside_particles(problem.state(u, t))
-    values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds, beside)
+    added = _rigid_bodies(problem).mass_roots(problem.state(u, t))
+    values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds, added)
     found = []
     for value, shape in zip(values, shapes, strict=True):
         found.append((float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value)))), shape))
@@ -267,12 +267,12 @@ def buckling(
 
     # Displacements of the particles of a region that are no motion of it have no meaning; springs resist them.
     def stiffness(y: Float) -> Float:
-        force = stiff.product(unpacked(y)) + spring * stiff.beside(unpacked(y))
+        force = stiff.product(unpacked(y)) + spring * stiff.off_motions(unpacked(y))
         return np.asarray(force[:n][free])
 
     def inverse(y: Float) -> Float:
         # The forces are those on independent unknowns already.
-        moved = flexible(unpacked(y)) + stiff.beside(unpacked(y)) / spring
+        moved = flexible(unpacked(y)) + stiff.off_motions(unpacked(y)) / spring
         return np.asarray(moved[:n][free])
 
     def solve(apply: Mapping[str, Callable[[Float], Float]], size: int, start: Float) -> tuple[Float, Float]:

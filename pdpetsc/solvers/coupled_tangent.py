@@ -128,8 +128,10 @@ class CoupledTangent:
             n = int(np.count_nonzero(side.rigid.free[: self._problem.dim]))
             moved = du - np.einsum("k,kpi->pi", part[:n], side.velocities[:n]) - load * side.rigid.driven
             found.append(side.resultants(df) + np.einsum("kpi,pi->k", side.rigid.spun(moved), side.force))
-        loads = np.concatenate([side.rigid.load(1.0) for side in self._sides])
-        return np.asarray(self._scale * (total(self._problem.body.cloud.comm, np.concatenate(found)) - load * loads))
+        change = total(self._problem.body.cloud.comm, np.concatenate(found))
+        if load:
+            change = change - load * np.concatenate([side.rigid.load(1.0) for side in self._sides])
+        return np.asarray(self._scale * change)
 
     @cached_property
     def spread(self) -> Float:
@@ -153,13 +155,12 @@ class CoupledTangent:
 
         Those of the particles of a region have the motion of their least squares.
         """
-        motions = self.loads_of(y, self.spread)
+        motions = self._sums(self.spread, y)
         return self._problem.supports.completed(y) + np.einsum("k,kpi->pi", motions, self.carried), motions
 
-    def beside(self, y: Float) -> Float:
+    def off_motions(self, y: Float) -> Float:
         """Return the part of entries (n_rows, dim) on particles of regions that is no motion of a region."""
-        motions = self.loads_of(y, self.spread)
-        rigid = np.einsum("k,kpi->pi", motions, self.carried)
+        rigid = np.einsum("k,kpi->pi", self._sums(self.spread, y), self.carried)
         return np.where(self.regions[:, None], y - rigid, 0.0)
 
     def product(self, y: Float) -> Float:
@@ -168,10 +169,9 @@ class CoupledTangent:
         of_regions = np.einsum("k,kpi->pi", self.resultants(du, motions), self.spread)
         return np.asarray(self._problem.supports.reduced(self.force(du, motions)) + of_regions)
 
-    def loads_of(self, forces: Float, ways: Float | None = None) -> Float:
-        """Return the resultants (n,) of forces on particles (n_rows, dim), by default those of ``carried``."""
-        ways = self.carried if ways is None else ways
-        return np.asarray(total(self._problem.body.cloud.comm, np.einsum("kpi,pi->k", ways, forces)))
+    def loads_of(self, forces: Float) -> Float:
+        """Return the resultants (n,) of forces on particles (n_rows, dim)."""
+        return self._sums(self.carried, forces)
 
     def responses(self, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
         """Return the derivative of the resultants by the motions (n, n), and the ways of the particles for each motion.
@@ -184,6 +184,10 @@ class CoupledTangent:
             ways.append(supports.completed(answer(-force)) + carried)
             columns.append(self.resultants(ways[-1], motion))
         return np.stack(columns, axis=1), np.stack(ways)
+
+    def _sums(self, ways: Float, values: Float) -> Float:
+        """Return the sums of products with each way (n,)."""
+        return np.asarray(total(self._problem.body.cloud.comm, np.einsum("kpi,pi->k", ways, values)))
 
     def _parts(self, motions: Float) -> list[Float]:
         """Return velocities and angular velocities of each body."""

@@ -22,12 +22,12 @@ ITERATIONS = 300
 
 def of_inverse(
     problem: Problem, flexible: Flexibility, weight: Float, kinds: Sequence[tuple[str, int]],
-    beside: Float | None = None,
+    added: Float | None = None,
 ) -> tuple[Float, list[Float]]:  # fmt: skip
     """Compute eigenvalues and eigenvectors (n_owned, dim) of ``C^T K C phi = 1 / value C^T W C phi``.
 
     With ``W = R R^T`` they are those of ``R^T C (C^T K C)^-1 C^T R``; C are the constraints, and R is the root of the
-    weights of the particles, followed by the columns ``beside``. The eigenvectors are orthonormal with W.
+    weights of the particles, followed by the columns ``added``. The eigenvectors are orthonormal with W.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def of_inverse(
         Weights W of the own particles, such as masses or volumes.
     kinds : sequence of (str, int)
         Which eigenvalues, ``"LA"`` for the largest or ``"SA"`` for the smallest, and their number.
-    beside : (n_columns, n_rows, dim) float64, optional
-        Columns of R besides those of the particles, such as the roots of masses that move with several particles.
+    added : (n_columns, n_rows, dim) float64, optional
+        Further columns of R, such as those of masses that move with several particles.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def of_inverse(
     Collective.
     """
     comm, n, root = problem.body.cloud.comm, problem.body.cloud.n_owned, np.sqrt(weight)[:, None]
-    columns = np.zeros((0, *problem.supports.fixed.shape)) if beside is None else beside
+    columns = np.zeros((0, *problem.supports.fixed.shape)) if added is None else added
     # The first rank has the entries of these columns.
     more = len(columns) if is_root(comm) else 0
 

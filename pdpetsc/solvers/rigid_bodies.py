@@ -116,8 +116,8 @@ class RigidBodies:
         sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
         return CoupledTangent(self._problem, sides, state, np.diag(scale) if rates is None else rates * scale, scale)
 
-    def beside_particles(self, state: State) -> Float:
-        """Return forces ``F`` whose sum ``F F^T`` is the declared mass on independent entries (n, n_rows, dim)."""
+    def mass_roots(self, state: State) -> Float:
+        """Return columns R (n, n_rows, dim) for which ``R R^T`` are the declared masses of regions."""
         if not self._bodies:
             return np.zeros((0, *state.u.shape))
         masses = block_diag(*[rigid.added_masses(state.t) for _, rigid in self._bodies]) * self._scale[:, None]

@@ -383,6 +383,8 @@ def read_checkpoint(
     at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), head.tangent_virtual)
     if not problem.admissible(problem.state(u, head.t)):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
+    # What is recorded of the start has the contact of the next step, not that of the undeformed body.
+    problem.start_from(problem.state(u, head.t))
     start = Solution(problem, u, head.t, head.step, head.work, head.resume, at)
     return Origin(start, path, head.run, steps, texts)
 

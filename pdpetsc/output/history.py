@@ -68,11 +68,13 @@ class History(Observer):
                 )
                 if observed.in_own_folder:
                     set_history_aside(comm, observed.folder)
-        rows = [row for row in rows or [] if row[0] < start.step]
+        # The row of the start is that of its step: friction and bodies in contact forget how they came there.
+        rows = [row for row in rows or [] if row[0] <= start.step]
         for row in rows:
             self._remember(row)
+        if not rows or rows[-1][0] < start.step:
+            rows.append(self._evaluated(start))
         # One write for all rows: a run that is killed here leaves either the earlier table or this one.
-        rows.append(self._evaluated(start))
         self.table = Table(comm, observed.folder / "history.csv", [list(self.columns), *map(_written, rows)])
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:

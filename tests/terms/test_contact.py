@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -266,6 +267,38 @@ def test_friction_goes_on_from_a_checkpoint(tmp_path):
     again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
     assert again.history["tool_x"][-1] == whole["tool_x"][-1]
     assert again.history["tool_y"][-1] == whole["tool_y"][-1]
+
+
+class Copied(pd.Quantity):
+    """Copies the checkpoint of the step before the last one."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def evaluate(self, solution):
+        if solution.t == 1.0:
+            shutil.copy(self.folder / "checkpoint.h5", self.folder / "kept.h5")
+        return 0.0
+
+
+@pytest.mark.parametrize("columns", ["same", "other"])
+def test_the_row_at_a_restart_is_that_of_the_whole_run(columns, tmp_path):
+    """The force there was that of the slip since the start of the run; with other columns it is computed again."""
+    case = block(dataclasses.replace(PRESS, move=(0.05, -0.05)), 0.3, steps=pd.Steps(4))
+    history = {**case.history, "below": pd.Reaction("x", "-y"), "copied": Copied(tmp_path / "whole")}
+    case = dataclasses.replace(
+        case, conditions=[pd.Clamp("-y"), *case.conditions[2:]], history=history, fields=[pd.reaction]
+    )
+    whole = pd.run(case, tmp_path / "whole")
+    if columns == "other":
+        case = dataclasses.replace(case, history={"below": history["below"]})
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "whole" / "kept.h5")
+    for column in ("tool_x", "tool_y", "below"):
+        rows = again.history[column]
+        assert len(rows) == (5 if columns == "same" else 2)
+        np.testing.assert_allclose(rows, whole.history[column][-len(rows) :], rtol=1e-12, err_msg=column)
+    expected = whole.field("reaction", step=3)
+    np.testing.assert_allclose(again.field("reaction", step=3), expected, atol=1e-12 * np.abs(expected).max())
 
 
 def test_a_block_is_dragged_with_the_coefficient_of_friction(tmp_path):

@@ -116,6 +116,10 @@ class Solution:
         moved += self.problem.tool_work(before.state, self.state, before._tool_forces, self._tool_forces)
         self.work = before.work + float(self.sum(moved))
 
+    def hold_forces(self) -> None:
+        """Compute the forces with which the work of the next step begins, before that step changes the terms."""
+        _ = self._acting, self._tool_forces
+
     @cached_property
     def _loads(self) -> Float:
         """Return the external forces (n_rows, dim) [force]."""

@@ -64,8 +64,8 @@ class RunRecord:
 
     def begin(self, observed: Observed) -> None:
         """Record the initial state of the run (collective)."""
-        # The work of the next step requires these forces, before bonds fail.
-        _ = observed.last.internal_force
+        # The work of the next step requires these forces, before bonds fail and multipliers of contact change.
+        observed.last.hold_forces()
         for observer in self.observers:
             observer.begin(observed)
         self.observed = observed

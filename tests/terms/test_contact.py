@@ -329,6 +329,20 @@ def test_a_tool_presses_first_and_slides_then(tmp_path):
     assert dataclasses.replace(turning, schedule=(slide, press, slide)).angle(0.0, 0.5) == 0.0
 
 
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_tool_whose_pressure_is_found_by_multipliers_does_the_work_that_is_stored(steps, tmp_path):
+    """The first step began with the multipliers of its end: its work was twice that of the body."""
+    case = block(penetration=1e-7, steps=pd.Steps(steps))
+    history = {"work": pd.ExternalWork(), "stored": pd.StrainEnergy()}
+    history |= {"copied": Copied(tmp_path / "whole")} if steps == 2 else {}
+    case = dataclasses.replace(case, history=history)
+    found = pd.run(case, tmp_path / "whole").history
+    np.testing.assert_allclose(found["work"], found["stored"], rtol=1e-6)
+    if steps == 2:
+        again = pd.run(case, tmp_path / "again", restart=tmp_path / "whole" / "kept.h5").history
+        np.testing.assert_allclose(again["work"], found["work"], rtol=1e-12)
+
+
 @pytest.mark.parametrize(("friction", "steps"), [(0.0, 4), (0.3, 16)])
 def test_a_moving_tool_works_on_what_is_stored_and_lost(friction, steps, tmp_path):
     """A plane presses and drags: its work is what the body and the contact store, and what friction takes."""

@@ -41,16 +41,19 @@ class FoundModes(Observer):
         self._response: dict[str, float] = {}
         # Unknowns and load parameter of the last two equilibria; before the start the body is undeformed.
         self._ends: list[tuple[Float, float]] = []
+        # True until a step is computed after a restart, whose checkpoint lacks the equilibrium before.
+        self._lacks = False
 
     def begin(self, observed: Observed) -> None:
         """Store the state from which the run starts."""
         super().begin(observed)
         last = observed.last
         self._ends = [(np.zeros_like(last.unknowns), 0.0), (last.unknowns, last.t)]
+        self._lacks = last.step > 1
 
     def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
         """Store the state of a converged step."""
-        self._ends = [self._ends[-1], (solution.unknowns, solution.t)]
+        self._ends, self._lacks = [self._ends[-1], (solution.unknowns, solution.t)], False
         return {}
 
     def rehearse(self, start: Solution, report: Report) -> None:
@@ -99,6 +102,15 @@ class FoundModes(Observer):
     def results(self) -> Mapping[str, float]:
         """Return the frequencies or factors by name."""
         return {**dict(zip(self._declared.names, self._values, strict=False)), **self._response}
+
+    def warnings(self, steps: StepRecords) -> Sequence[str]:
+        """Return a warning if factors are not those of the last two steps."""
+        if not (self._lacks and self._values and self._declared.of == "buckling"):
+            return ()
+        return [
+            "Buckling factors are those of the undeformed body and the last equilibrium: a checkpoint lacks "
+            "the one before. Restart from an earlier step for those of the last two."
+        ]
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
         """Return the kind of modes and their values."""

@@ -279,6 +279,22 @@ def test_columns_buckle_at_the_load_of_euler(supports, tmp_path):
     results("runs/stability/columns.py", "n=4", f"supports={supports}", "--check", output=tmp_path)
 
 
+def test_factors_of_a_run_that_continues_at_its_end_are_told_apart(tmp_path):
+    """Its checkpoint lacks the equilibrium before the last one: the factors are those from the undeformed body."""
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (8.0, 1.0), 0.25),
+        material=pd.NeoHookean(E=100.0, nu=0.3, plane="stress"),
+        conditions=[pd.Clamp("-x"), pd.Traction("+x", x=-0.12)],
+        steps=pd.Steps(times=(0.5, 1.0)),
+        modes=pd.Modes(1, of="buckling"),
+    )
+    runs = [pd.run(case, tmp_path / "whole"), pd.run(case, tmp_path / "again", restart=tmp_path / "whole")]
+    told = [any("undeformed body and the last equilibrium" in one for one in run.summary["warnings"]) for run in runs]
+    assert told == [False, True]
+    # The first factor of a column that only compresses hardly depends on it.
+    assert runs[1]["buckling_1"] == pytest.approx(runs[0]["buckling_1"], rel=0.01)
+
+
 def test_a_tapered_membrane_has_the_frequencies_of_the_benchmark(tmp_path):
     results("runs/stability/modes.py", "n=12", "--check", output=tmp_path)
 

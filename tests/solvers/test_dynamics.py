@@ -868,6 +868,20 @@ def test_bulk_viscosity_damps_what_follows_a_shock(law, tmp_path):
     assert np.abs(run.history["error"]).max() < 2e-3
 
 
+@pytest.mark.parametrize(
+    "damping", [pd.BulkViscosity(), pd.RayleighDamping(stiffness=0.01)], ids=["shock", "stiffness"]
+)
+def test_the_energy_balances_with_viscous_forces_after_a_restart(damping, tmp_path):
+    """The first step took half of the work of its viscous forces."""
+    case = struck(None, damping)
+    whole = pd.run(case, tmp_path / "whole").history["error"]
+    half = dataclasses.replace(case, history={**case.history, "stop": Stop(2, "step")})
+    with pytest.raises(pd.Interrupted):
+        pd.run(half, tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half").history["error"]
+    np.testing.assert_allclose(again, whole[3:], atol=1e-12)
+
+
 def test_bulk_viscosity_does_not_resist_rotation_and_takes_the_units_of_the_case(tmp_path):
     still = spinning(pd.Explicit(end=0.05, records=1), dim=2)
     more = dataclasses.replace(still, conditions=[*still.conditions, pd.BulkViscosity()])

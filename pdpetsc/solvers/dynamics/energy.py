@@ -100,12 +100,16 @@ class MotionBalance:
             numbers |= dict(zip((RIGID_START, RIGID_LARGEST, RIGID_WORK), of_rigid, strict=True))
         return numbers if self._lost is None else {**numbers, LOST: self._lost}
 
-    def begin(self, state: State, internal: Float, external: Float, dt: float = 0.0) -> None:
-        """Start from a state with its forces (n_rows, dim) [force]; ``dt`` as for ``record``."""
+    def begin(
+        self, state: State, internal: Float, external: Float, dt: float = 0.0, viscous: Float | None = None
+    ) -> None:
+        """Start from a state with its forces (n_rows, dim) [force]; others as for ``record`` and ``move``."""
         self._u, (self._given_by, self._force) = state.u, self._acting(state, internal, external)
         self._tools = self._problem.tool_forces(state)
         self._state = state if self._tools else None
         self._resisted = self._inertia.damped(self._inertia.v)
+        if viscous is not None:
+            self._resisted += viscous
         self._on_particles = (external - internal)[: len(self._resisted)]
         if not self._begun:
             stored, moving, touching = self._held(state, dt)

@@ -156,7 +156,8 @@ class ExplicitSolver(Solver):
             # Steps of equal size from ``base`` on, until the stable step changes.
             base, number, count = t, 0, self._count(target - t, dt)
             if not begun:
-                balance.begin(state, *forces(problem, state), (target - t) * declared.end / count)
+                acting, size = forces(problem, state), (target - t) * declared.end / count
+                balance.begin(state, *acting, size, self._viscous_before(*acting))
                 begun = True
             while number < count:
                 number += 1
@@ -335,6 +336,14 @@ class ExplicitSolver(Solver):
         pushed = 0.0 if self._rigid is None else self._rigid.push(after, acting, damping, dt)
         balance.fail(before - balance.stored(after) + kinetic, after, *acting, pushed)
         return moved, broken
+
+    def _viscous_before(self, internal: Float, external: Float) -> Float | None:
+        """Return the viscous forces of the step before, from its acceleration (n_owned, dim) [force]; None if none."""
+        inertia, n = self._inertia, len(self._inertia.mass)
+        if self._resistance is None and inertia.viscosity is None:
+            return None
+        force = (external - internal)[:n] - inertia.damped(inertia.v) - inertia.mass[:, None] * inertia.a
+        return np.where(self._problem.supports.fixed[:n], 0.0, force)
 
     def _viscous(self, u: Float, velocity: Float) -> Float:
         """Return ``c K_0 v`` and the viscosity of shocks of free components and rigid regions (n_owned, dim) [force].

@@ -216,9 +216,7 @@ class BackgroundGrid:
     def _elements(self, families: Families, kept: Mask, cell: GlobalIndex) -> tuple[LocalIndex, GlobalIndex]:
         """Return the element of every local particle, -1 for mirror images, and the cell of each (collective)."""
         cloud = self._cloud
-        of = np.zeros(cloud.n_local, dtype=np.int64)
-        of[: cloud.n_owned] = np.ravel_multi_index(tuple(cell.T), tuple(self.cells.count))
-        cloud.halo.forward(of)
+        of = cloud.halo.with_ghosts(np.ravel_multi_index(tuple(cell.T), tuple(self.cells.count)))
         mirrored = cloud.places.behind(cloud.place) > 0
         of[mirrored] = -1
         parent = np.arange(cloud.n_local, dtype=np.int32)

@@ -121,6 +121,11 @@ class Cloud:
         """
         return int(total(self.comm, float(numbers.sum() if self.stands_for is None else numbers @ self.stands_for)))
 
+    def mirror(self, values: Float) -> None:
+        """Turn the ghost rows of vectors (n_local, dim) or tensors (n_local, dim, dim) to the axes of their images."""
+        if len(self.sign):
+            values[self.n_owned :] *= self.sign if values.ndim == 2 else self.sign[:, :, None] * self.sign[:, None, :]
+
     @property
     def varies(self) -> bool:
         """Return True if the horizon differs between particles of any rank (not collective)."""

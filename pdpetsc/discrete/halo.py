@@ -57,6 +57,13 @@ class Halo:
         """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with the rows of the owners (collective)."""
         self.start_forward(values)()
 
+    def with_ghosts(self, own: NDArray[Any]) -> NDArray[Any]:
+        """Return own rows (n_owned, ...) with those of the ghosts in a new array (n_local, ...) (collective)."""
+        values = np.empty((self.n_owned + self.n_ghost, *own.shape[1:]), dtype=own.dtype)
+        values[: self.n_owned] = own
+        self.forward(values)
+        return values
+
     def reverse(self, values: NDArray[Any]) -> None:
         """Add the ghost rows of ``values`` to the rows of their owners (collective)."""
         self.start_reverse(values)()

@@ -124,8 +124,6 @@ class _Surface:
     def beyond(self, surface: Mask) -> Mask:
         """Return which own particles are further than a horizon from the surface at marked particles (collective)."""
         cloud, n = self.cloud, self.cloud.n_owned
-        marked, near = np.zeros(cloud.n_local), np.empty(n, dtype=bool)
-        marked[:n] = surface
-        cloud.halo.forward(marked)
+        marked, near = cloud.halo.with_ghosts(surface.astype(float)), np.empty(n, dtype=bool)
         marked_within(*self.bonds, np.minimum(self.reach, cloud.local_horizon[:n] - self.beside), marked, near)
         return np.asarray(~(surface | near))

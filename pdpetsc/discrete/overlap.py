@@ -76,8 +76,7 @@ def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
 
     def finish() -> None:
         arrived()
-        if len(cloud.sign):
-            v[n:] *= cloud.sign
+        cloud.mirror(v)
         if cloud.images is not None:
             v[n:] += cloud.offset @ cloud.images.strain(u[n:])
 
@@ -91,8 +90,7 @@ def start_forces(cloud: Cloud, f: Float) -> Callable[[], Float]:
     """
     n = cloud.n_owned
     virtual = None if cloud.images is None else cloud.images.force(cloud.offset, f[n:])
-    if len(cloud.sign):
-        f[n:] *= cloud.sign
+    cloud.mirror(f)
     home = cloud.halo.start_reverse(f)
 
     def finish() -> Float:

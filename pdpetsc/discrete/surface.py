@@ -107,10 +107,9 @@ class Surface:
         Collective.
         """
         n, dim = cloud.n_owned, cloud.dim
-        field = np.zeros((cloud.n_local, 2))
-        field[:n, 0], field[:n, 1] = values, 1.0
-        field[self.owner, 1] = 0.0
-        cloud.halo.forward(field)
+        inside = np.ones(n)
+        inside[self.owner] = 0.0
+        field = cloud.halo.with_ghosts(np.stack([values, inside], axis=1))
         if sign is not None:
             field[n:, 0] *= sign
         value, inner = field.T
@@ -125,10 +124,10 @@ class Surface:
                 moments[:, a, b] = np.bincount(of, taken * phi[:, a] * phi[:, b], n)
         least = np.linalg.eigvalsh(moments / np.maximum(moments[:, :1, :1], 1.0))[:, 0]
         good = (least > EXTENT) & (inner[:n] > 0.0)
-        fitted = np.zeros((cloud.n_local, dim + 2))
-        fitted[:n][good, :-1] = np.linalg.solve(moments[good], sums[good, :, None])[:, :, 0]
-        fitted[:n, -1] = np.where(good, least, 0.0)
-        cloud.halo.forward(fitted)
+        fitted = np.zeros((n, dim + 2))
+        fitted[good, :-1] = np.linalg.solve(moments[good], sums[good, :, None])[:, :, 0]
+        fitted[:, -1] = np.where(good, least, 0.0)
+        fitted = cloud.halo.with_ghosts(fitted)
         if sign is not None:
             fitted[n:, :-1] *= sign[:, None]
             fitted[n:, 1:-1] *= cloud.sign

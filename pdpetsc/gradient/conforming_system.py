@@ -152,7 +152,7 @@ class ConformingSystem:
         cloud = self.cloud
         v, out = self._with_ghosts(values), np.zeros((cloud.n_local, cloud.dim))
         remainder_kernel(cloud.dim, cloud.dim, 1)(*self._geometry, self._square, v, out)
-        self._turn(out)
+        cloud.mirror(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
@@ -173,22 +173,15 @@ class ConformingSystem:
         out = -s
         identity = np.broadcast_to(np.eye(cloud.dim), (self.operator.n_points, cloud.dim, cloud.dim))
         replace(self.operator, g=g).divergence(np.ascontiguousarray(identity), out)
-        self._turn(out)
+        cloud.mirror(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
     def _with_ghosts(self, values: Float) -> Float:
         """Return values (n_local, dim) with ghosts from those of the own particles (n_owned, dim)."""
-        found = np.zeros((self.cloud.n_local, self.cloud.dim))
-        found[: self.cloud.n_owned] = values
-        self.cloud.halo.forward(found)
-        self._turn(found)
+        found = self.cloud.halo.with_ghosts(values)
+        self.cloud.mirror(found)
         return found
-
-    def _turn(self, values: Float) -> None:
-        """Multiply the ghosts of ``values`` (n_local, dim) by the signs of their components (not collective)."""
-        if len(self.cloud.sign):
-            values[self.cloud.n_owned :] *= self.cloud.sign
 
     @property
     def _geometry(self) -> tuple[Any, ...]:

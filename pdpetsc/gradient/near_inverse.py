@@ -210,10 +210,8 @@ class OnGrid(NearInverse):
 
     def interpolate(self, values: Float) -> Float:
         """Compute the values of the particles, ``sum_q N_q(x_i) v_q``."""
-        local, nodal = np.zeros((len(self._order), self._dim)), np.zeros((len(self._grid.numbers), self._dim))
-        local[: len(self.x)] = values
-        self._halo.forward(local)
-        nodal[self._order] = local
+        nodal = np.zeros((len(self._grid.numbers), self._dim))
+        nodal[self._order] = self._halo.with_ghosts(values)
         return self._grid.interpolate(nodal)[: self._n]
 
     def _curvature(self, energies: Float, width: Float) -> list[Entries]:

@@ -45,21 +45,14 @@ class Interface:
         self._body = grid.problem.body
         self._dim, self._symmetric, cloud = self._body.dim, grid.problem.symmetric, self._body.cloud
         # Signs of images, and 0 for prescribed unknowns.
-        self._turned = turned = np.zeros((cloud.n_local, self._dim))
-        turned[: cloud.n_owned] = free[: cloud.n_owned]
-        cloud.halo.forward(turned)
-        if len(cloud.sign):
-            turned[cloud.n_owned :] *= cloud.sign
+        self._turned = cloud.halo.with_ghosts(free[: cloud.n_owned].astype(float))
+        cloud.mirror(self._turned)
         # Nodes that move the local particles, and their weights.
         corners = grid.corners[grid.element]
-        self._nodes = np.zeros((cloud.n_local, corners.shape[1]), dtype=np.int64)
-        self._weights = np.zeros((cloud.n_local, corners.shape[1], self._dim))
-        self._nodes[: cloud.n_owned] = grid.numbers[corners]
         upper = grid.cells.corners[None] == 1
         N = np.prod(np.where(upper, grid.at[:, None], 1.0 - grid.at[:, None]), axis=2)
-        self._weights[: cloud.n_owned] = np.where(grid.held[corners], 0.0, N[:, :, None])
-        cloud.halo.forward(self._nodes)
-        cloud.halo.forward(self._weights)
+        self._nodes: GlobalIndex = cloud.halo.with_ghosts(grid.numbers[corners])
+        self._weights = cloud.halo.with_ghosts(np.where(grid.held[corners], 0.0, N[:, :, None]))
         self._pc: PETSc.PC | None = None
 
     def take(self, tangent: Tangent, scale: float) -> tuple[Tangent, Tangent]:

@@ -118,10 +118,7 @@ class SchurComplement:
 def _rows_of(body: Body) -> GlobalIndex:
     """Return the global number of each local particle, in the order of ranks (n_local,) (collective)."""
     cloud = body.cloud
-    number = np.zeros((cloud.n_local, 1))
-    number[: cloud.n_owned, 0] = cloud.first + np.arange(cloud.n_owned)
-    cloud.halo.forward(number)
-    return np.asarray(number[:, 0].astype(np.int64))
+    return cloud.halo.with_ghosts(cloud.first + np.arange(cloud.n_owned, dtype=np.int64))
 
 
 def _matrix(
@@ -154,16 +151,12 @@ def _near(body: Body, columns: GlobalIndex, held: Float, width: tuple[int, int])
     reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
     length = families.lengths(cloud.x)
     # Both ends of a bond must count it as short.
-    far = np.zeros((cloud.n_local, 1))
-    far[:n, 0] = NEAR * reach
-    cloud.halo.forward(far)
+    far = cloud.halo.with_ghosts(NEAR * reach)
     i, j = families.centres, families.neighbours
-    kept = length <= np.minimum(far[i, 0], far[j, 0])
+    kept = length <= np.minimum(far[i], far[j])
     i, j = i[kept], j[kept]
-    count = np.zeros((cloud.n_local, 1))
-    count[:n, 0] = np.maximum(np.bincount(i, minlength=n), 1)
-    cloud.halo.forward(count)
-    each = held / count
+    count = cloud.halo.with_ghosts(np.maximum(np.bincount(i, minlength=n), 1))
+    each = held / count[:, None]
     stiffness = np.where((held[i] > 0.0) & (held[j] > 0.0), 0.5 * (each[i] + each[j]), 0.0)
     wall = np.where(held[j] > 0.0, 0.0, 0.5 * each[i])
     diagonal = np.stack([np.bincount(i, (stiffness + wall)[:, axis], n) for axis in range(dim)], axis=1)

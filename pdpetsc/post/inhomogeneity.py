@@ -127,8 +127,7 @@ def _slope_of_grading(solution: Solution) -> tuple[Float, Float]:
     n, integrands = len(solution.x), integrands_of(solution)
     local = solution.with_ghosts(integrands.slopes(graded[:, None])[:, 0] / graded[:n, None])
     # Behind a mirror plane the slope along its normal has the opposite sign.
-    if len(cloud.sign):
-        local[n:] *= cloud.sign
+    cloud.mirror(local)
     return local[:n], integrands.slopes(local)
 
 

@@ -189,11 +189,7 @@ class Solution:
 
     def with_ghosts(self, values: Float) -> Float:
         """Return numbers of the owned particles (n_owned, ...) with those of their ghosts (n_local, ...)."""
-        cloud = self.cloud
-        local = np.empty((cloud.n_local, *values.shape[1:]))
-        local[: cloud.n_owned] = values
-        cloud.halo.forward(local)
-        return local
+        return self.cloud.halo.with_ghosts(np.asarray(values, dtype=float))
 
 
 # A field of the owned particles, (n_owned,), (n_owned, dim) or (n_owned, dim, dim); named as its function.

@@ -227,11 +227,8 @@ class FreeDeformation:
 
     def _elongation(self, finite: bool) -> Float:
         cloud, families = self.of.cloud, self.of.families
-        strain = np.empty((cloud.n_local, cloud.dim, cloud.dim))
-        strain[: cloud.n_owned] = self.in_body()
-        cloud.halo.forward(strain)
-        if len(cloud.sign):
-            strain[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
+        strain = cloud.halo.with_ghosts(self.in_body())
+        cloud.mirror(strain)
         xi = families.bonds(cloud.x)
         length = np.linalg.norm(xi, axis=1)
 

@@ -540,8 +540,7 @@ class Tangent:
         cloud, dim = self.body.cloud, self.body.dim
         found = np.zeros((cloud.n_local, dim, dim))
         unknown = [product for product in self.products if not product.add_point_blocks(found)]
-        if len(cloud.sign):
-            found[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
+        cloud.mirror(found)
         cloud.halo.reverse(found)
         blocks = found[: cloud.n_owned]
         if unknown:

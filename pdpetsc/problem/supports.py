@@ -238,9 +238,7 @@ class Supports:
         """
         cloud, families, lattice = self.body.cloud, self.body.families, self.body.families.lattice
         n, dim = cloud.n_owned, cloud.dim
-        free = np.ones((cloud.n_local, dim))
-        free[:n] = ~self.fixed[:n]
-        cloud.halo.forward(free)
+        free = cloud.halo.with_ghosts(~self.fixed[:n])
         if lattice is None:
             one_sided = _one_sided(families.indptr, families.neighbours, cloud.x, cloud.volume)
         else:
@@ -250,7 +248,7 @@ class Supports:
             one_sided[lattice.shared] = lattice.of_shared(found[irregular.n :])
         cut = self.fixed[:n] & one_sided
         for axis in np.flatnonzero(cut.any(axis=0)):
-            cut[:, axis] &= families.with_any(free[:, axis] > 0.0)
+            cut[:, axis] &= families.with_any(free[:, axis].copy())
         return int(total(cloud.comm, np.count_nonzero(cut.any(axis=1))))
 
 

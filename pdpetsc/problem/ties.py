@@ -92,9 +92,7 @@ class Ties:
     def of_terms(self, u: Float) -> Float:
         """Return the component that each term depends on (n_terms,) of ``u`` (n_rows, dim)."""
         n = self._cloud.n_owned
-        local = np.empty((n + self._halo.n_ghost, self._cloud.dim))
-        local[:n] = u[:n]
-        self._halo.forward(local)
+        local = self._halo.with_ghosts(u[:n])
         return np.asarray(local[n + self._place, self.all.of_axis])
 
     def lumped_mass(self, mass: Float) -> Float:

@@ -678,10 +678,7 @@ def _marking(body: Body) -> Marking:
     """Return a function that marks the local particles of a body in a region."""
 
     def mark(region: Region, what: str) -> Mask:
-        marked = np.zeros(body.cloud.n_local)
-        marked[: body.cloud.n_owned] = select(body.cloud, region, what)
-        body.cloud.halo.forward(marked)
-        return marked > 0.0
+        return body.cloud.halo.with_ghosts(select(body.cloud, region, what))
 
     return mark
 

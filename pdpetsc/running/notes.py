@@ -80,10 +80,8 @@ def interface_note(case: Case, problem: Problem) -> str:
     for soft, stiff in itertools.permutations(range(len(shear)), 2):
         if not shear[stiff] > highest * shear[soft] * (1.0 + 1e-9):
             continue
-        of_stiff = np.zeros(cloud.n_local)
-        of_stiff[: cloud.n_owned] = material_of == stiff
-        cloud.halo.forward(of_stiff)
-        if int(total(cloud.comm, np.count_nonzero(families.with_any(of_stiff > 0.0) & (material_of == soft)))):
+        beside = families.with_any(cloud.halo.with_ghosts(material_of == stiff))
+        if int(total(cloud.comm, np.count_nonzero(beside & (material_of == soft)))):
             highest, between = shear[stiff] / shear[soft], (soft, stiff)
     if highest == STIFFER:
         return ""

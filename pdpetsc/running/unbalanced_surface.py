@@ -123,11 +123,9 @@ def unbalanced_areas(case: Case, problem: Problem) -> Float:
     areas = problem.material_term.uniform_stress_force(np.tile(np.eye(dim), (n, 1, 1)))[:n].copy()
     surface = _surface(case, problem)
     if surface is None:
-        held = np.zeros((cloud.n_local, dim))
-        held[:n] = fixed
-        cloud.halo.forward(held)
+        held = cloud.halo.with_ghosts(fixed)
         for axis in range(dim):
-            areas[~body.families.with_any(held[:, axis] > 0.0), axis] = 0.0
+            areas[~body.families.with_any(held[:, axis].copy()), axis] = 0.0
     else:
         loaded = np.zeros((cloud.n_local, dim))
         surface.spread(surface.area * ~fixed[surface.owner], loaded)

@@ -83,9 +83,7 @@ class BodyContactForces(FacetContact):
         self.symmetric = False
         self.works = self._mu > 0.0
         # Spacing at the facets of both sides: thin walls are not thinner than this.
-        apart = np.zeros(cloud.n_local)
-        apart[: cloud.n_owned] = nearest_distances(body)
-        cloud.halo.forward(apart)
+        apart = cloud.halo.with_ghosts(nearest_distances(body))
         self._local = apart[mine.particle], apart[theirs.particle]
         # Displacements of local particles at the start of this step.
         self._before = np.zeros((cloud.n_local, body.dim))
@@ -341,8 +339,7 @@ class BodyContactForces(FacetContact):
             values = np.zeros((cloud.n_local, self.body.dim))
             np.add.at(values, search.one.particle[pairs.rows[rows]], force)
             np.add.at(values, search.other.particle[pairs.other_rows[rows]], -force)
-            if len(cloud.sign):
-                values[cloud.n_owned :] *= cloud.sign
+            cloud.mirror(values)
             cloud.halo.reverse(values)
             return np.asarray(values[: cloud.n_owned] / np.where(area > 0.0, area, 1.0)[:, None])
 

@@ -222,7 +222,4 @@ class DeadLoads(PrescribedLoads):
 
     def _reach(self, mask: Mask) -> Mask:
         """Return the own particles whose forces depend on a marked own particle."""
-        marked = np.zeros(self.body.cloud.n_local)
-        marked[: len(mask)] = mask
-        self.body.cloud.halo.forward(marked)
-        return self._material_term.dependents(marked)
+        return self._material_term.dependents(self.body.cloud.halo.with_ghosts(mask.astype(float)))

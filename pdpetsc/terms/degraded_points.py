@@ -357,11 +357,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         near = (np.maximum(x, self.points.kappa) > NEAR_ONSET) & (wanted[operator.owner] > 0.0)
         apart = np.zeros((operator.n_points, dim, dim))
         apart[near] = self._apart(state, np.flatnonzero(near))
-        of_particles = np.zeros((cloud.n_local, dim, dim))
-        of_particles[: cloud.n_owned] = operator.mean_over_points(apart, cloud.n_owned)
-        cloud.halo.forward(of_particles)
-        if len(cloud.sign):
-            of_particles[cloud.n_owned :] *= np.einsum("gi,gj->gij", cloud.sign, cloud.sign)
+        of_particles = cloud.halo.with_ghosts(operator.mean_over_points(apart, cloud.n_owned))
+        cloud.mirror(of_particles)
         one, ptr = np.ones(len(families.members)), families.point_ptr[number]
         sums = scipy.sparse.csr_matrix((one, families.members, ptr), shape=(len(points), cloud.n_local))
         M = (sums @ of_particles.reshape(cloud.n_local, -1)).reshape(-1, dim, dim)

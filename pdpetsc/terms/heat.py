@@ -224,9 +224,7 @@ class Heat(Term):
     def flux(self, temperature: Float) -> Float:
         """Compute ``q = -k grad T``, the mean over the points of each own particle (n_owned, dim) (collective)."""
         cloud = self.body.cloud
-        local = np.empty(cloud.n_local)
-        local[: cloud.n_owned] = temperature
-        cloud.halo.forward(local)
+        local = cloud.halo.with_ghosts(temperature)
         if self._operator is None:
             families = self.body.families
             flow = self._kappa() * (local[families.neighbours] - local[families.centres])

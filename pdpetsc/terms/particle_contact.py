@@ -184,9 +184,7 @@ class ParticleContactForces(Term):
         own, near = state.own, self._near
 
         def make() -> tuple[GlobalIndex, Float, Float]:
-            v = np.empty((near.halo.n_owned + near.halo.n_ghost, self.body.dim))
-            v[: near.halo.n_owned] = own
-            near.halo.forward(v)
+            v = near.halo.with_ghosts(own)
             y = near.xi + (v[near.one] - v[near.other])
             r = np.linalg.norm(y, axis=1)
             rows = np.flatnonzero(self._free & (r < near.r0))
@@ -284,16 +282,14 @@ class ParticleContactForces(Term):
 
     def objection(self, state: State) -> str:
         """Return a reason if particles without a bond have passed each other on their straight ways in the step."""
-        comm, n = self.body.cloud.comm, self.body.cloud.n_owned
+        comm = self.body.cloud.comm
         change = state.own - self._before
         mean = total(comm, change.sum(axis=0)) / self.body.cloud.n_global
         moved = largest(comm, float(np.linalg.norm(change - mean, axis=1).max(initial=0.0)))
         if 2.0 * moved <= PASSING * self._distance:
             return ""
         near = self._searched(self._before, 2.0 * moved)
-        v = np.empty((n + near.halo.n_ghost, 2 * self.body.dim))
-        v[:n] = np.concatenate([self._before, change], axis=1)
-        near.halo.forward(v)
+        v = near.halo.with_ghosts(np.concatenate([self._before, change], axis=1))
         start, way = np.split(v[near.one] - v[near.other], 2, axis=1)
         start = near.xi + start
         square = np.maximum((way**2).sum(axis=1), np.finfo(float).tiny)

@@ -21,6 +21,27 @@ def twins(key: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex]:
     return order[same], order[same + 1]
 
 
+class Lookup:
+    """Find numbers among known ones.
+
+    Parameters
+    ----------
+    known : (n,) int
+        The known numbers.
+    """
+
+    def __init__(self, known: GlobalIndex) -> None:
+        self._order = np.argsort(known, kind="stable")
+        self._ascending = known[self._order]
+
+    def of(self, sought: GlobalIndex) -> GlobalIndex:
+        """Return the first place of each number among the known ones, -1 for unknown numbers."""
+        if not len(self._ascending):
+            return np.full(np.shape(sought), -1, dtype=np.int64)
+        place = np.minimum(np.searchsorted(self._ascending, sought), len(self._ascending) - 1)
+        return np.where(self._ascending[place] == sought, self._order[place], -1)
+
+
 def entries_of(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
     """Return the entries of some rows of a CSR structure (n_entries,), and where those of each row begin (n + 1,)."""
     size: GlobalIndex = np.diff(ptr)[rows]

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Lookup
 from pdpetsc.declare.cells import Block, MeshData
 from pdpetsc.errors import CaseError
 
@@ -219,12 +218,13 @@ def _mesh(
     groups: dict[tuple[int, int], GlobalIndex],
     names: dict[tuple[int, int], str],
 ) -> MeshData:
-    order = np.argsort(tags, kind="stable")
-    number: Callable[[GlobalIndex], GlobalIndex] = lambda wanted: _rows(tags[order], order, wanted)  # noqa: E731
+    known = Lookup(tags)
+    if not len(tags) and elements:
+        raise CaseError("it has no nodes")
     top = max((block.dim for _, _, block in elements if len(block.nodes)), default=0)
     blocks, found, start = [], dict[str, list[GlobalIndex]](), 0
     for dim, tag, block in elements:
-        blocks.append(Block(block.kind, number(block.nodes)))
+        blocks.append(Block(block.kind, _rows(known, block.nodes)))
         for group in groups.get((dim, tag), np.zeros(0, dtype=np.int64)).tolist():
             name = names.get((dim, group), f"group_{group}" if dim == top else f"facets_{group}")
             found.setdefault(name, []).append(start + np.arange(len(block.nodes)))
@@ -232,12 +232,10 @@ def _mesh(
     return MeshData(points, blocks, {name: np.unique(np.concatenate(parts)) for name, parts in found.items()})
 
 
-def _rows(ascending: GlobalIndex, order: GlobalIndex, wanted: GlobalIndex) -> GlobalIndex:
+def _rows(known: Lookup, wanted: GlobalIndex) -> GlobalIndex:
     """Return the rows of the points with these tags."""
-    if not len(ascending):
-        raise CaseError("it has no nodes")
-    place = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
-    missing = np.ravel(wanted)[np.ravel(ascending[place] != wanted)]
+    rows = known.of(wanted)
+    missing = wanted[rows < 0]
     if len(missing):
         raise CaseError(f"its elements name node {missing[0]}, which it does not have")
-    return np.asarray(order[place])
+    return rows

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, entries_of
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import (
     NO_SETS,
@@ -69,10 +69,9 @@ class Weights:
         found = np.empty(len(self.plus))
         for number, (one, of_one) in enumerate(zip(steps, values, strict=True)):
             entries = slice(int(self.entry_ptr[number]), int(self.entry_ptr[number + 1]))
-            order = np.argsort(one)
-            up = of_one[order[np.searchsorted(one[order], self.plus[entries])]]
-            two = self.minus[entries] != 0
-            down = of_one[order[np.searchsorted(one[order], self.minus[entries][two])]]
+            members, two = Lookup(one), self.minus[entries] != 0
+            up = of_one[members.of(self.plus[entries])]
+            down = of_one[members.of(self.minus[entries][two])]
             if len(down) and np.abs(up[two] - down).max() > OPPOSITE * np.abs(of_one).max():
                 return None
             found[entries] = up

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Lookup, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import lattice_cells
 
@@ -77,21 +77,16 @@ class Boxes:
         return np.full(len(particles), float(self.sides.max()))
 
     @cached_property
-    def _numbered(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return cells along each axis, the factors of their numbers, and the sorted numbers with their order."""
+    def _numbered(self) -> tuple[GlobalIndex, GlobalIndex, Lookup]:
+        """Return cells along each axis, the factors of their numbers, and the numbers of the particles."""
         cell = np.round((self.x - self.x.min(axis=0)) / self.sides).astype(np.int64)
         width = cell.max(axis=0) + 1
         weights = np.concatenate([[1], np.cumprod(width[:-1])])
-        number = cell @ weights
-        order = np.argsort(number)
-        return width, weights, number[order], order
+        return width, weights, Lookup(cell @ weights)
 
     def _at(self, cell: GlobalIndex) -> GlobalIndex:
-        width, weights, numbers, order = self._numbered
-        sought = cell @ weights
-        at = np.minimum(np.searchsorted(numbers, sought), len(numbers) - 1)
-        there = ((cell >= 0) & (cell < width)).all(axis=1) & (numbers[at] == sought)
-        return np.where(there, order[at], -1)
+        width, weights, numbers = self._numbered
+        return np.where(((cell >= 0) & (cell < width)).all(axis=1), numbers.of(cell @ weights), -1)
 
 
 def apart(x: Float) -> Float:

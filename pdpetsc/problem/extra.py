@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import GlobalIndex, LocalIndex
+from pdpetsc.arrays import GlobalIndex, LocalIndex, Lookup
 from pdpetsc.declared import called, shown
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
@@ -58,7 +58,7 @@ def lie_in_families(body: Body, point_ptr: GlobalIndex, members: LocalIndex) -> 
     cloud, families = body.cloud, body.families
     n = np.int64(cloud.n_local)
     own = np.arange(cloud.n_owned, dtype=np.int64)
-    bonds = np.sort(np.concatenate([families.centres.astype(np.int64) * n + families.neighbours, own * n + own]))
+    bonds = Lookup(np.concatenate([families.centres.astype(np.int64) * n + families.neighbours, own * n + own]))
     sizes = np.diff(point_ptr).astype(np.int64)
     pairs = np.concatenate([[0], np.cumsum(sizes**2)])
     first = 0
@@ -71,9 +71,7 @@ def lie_in_families(body: Body, point_ptr: GlobalIndex, members: LocalIndex) -> 
         start = point_ptr[first:last][of]
         centre = members[start + within // size[of]].astype(np.int64)
         member = members[start + within % size[of]]
-        key = centre * n + member
-        place = np.minimum(np.searchsorted(bonds, key), len(bonds) - 1)
-        known = (bonds[place] == key) & (centre < cloud.n_owned)
+        known = (bonds.of(centre * n + member) >= 0) & (centre < cloud.n_owned)
         row = (pairs[first:last] - pairs[first])[of] + within // size[of] * size[of]
         whole = np.bincount(row, known, minlength=len(of)) == size[of]
         if len(of) and not np.bincount(of, whole & (within % size[of] == 0), minlength=len(size)).all():

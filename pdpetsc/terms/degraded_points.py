@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of
 from pdpetsc.control.base import Control
 from pdpetsc.control.tangent_scaled import YieldingFamilies
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
@@ -703,6 +703,4 @@ def places_of(of: StencilMembers, rows: GlobalIndex, stencils: StencilMembers, n
     def keys(number: GlobalIndex, one: StencilMembers) -> GlobalIndex:
         return np.asarray(np.repeat(number, np.diff(one.point_ptr)) * np.int64(n_local) + one.members)
 
-    known = keys(np.arange(len(stencils.owner)), stencils)
-    order = np.argsort(known)
-    return np.asarray(order[np.searchsorted(known[order], keys(rows, of))])
+    return Lookup(keys(np.arange(len(stencils.owner)), stencils)).of(keys(rows, of))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, exchange, largest, total
 from pdpetsc.discrete.surface import Surface
@@ -352,13 +352,11 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
     of_facets, of_entries = (
         [np.concatenate(parts) for parts in zip(*columns, strict=True)] for columns in (facets, entries)
     )
-    (members, N, G), _ = exchange(comm, np.repeat(rank, of_facets[-1]), of_entries)
+    (orders, N, G), _ = exchange(comm, np.repeat(rank, of_facets[-1]), of_entries)
     (x, corners, key, both, size), _ = exchange(comm, rank, of_facets)
     ptr = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
-    order = np.argsort(cloud.order)
-    place = np.minimum(np.searchsorted(cloud.order[order], members), cloud.n_local - 1)
-    local = order[place]
-    unknown = np.add.reduceat(cloud.order[local] != members, ptr[:-1]) if len(size) else np.empty(0, dtype=np.int64)
+    local = Lookup(cloud.order).of(orders)
+    unknown = np.add.reduceat(local < 0, ptr[:-1]) if len(size) else np.empty(0, dtype=np.int64)
     # Facets in a corner of the box are further than the reach from all own ones, and their particles are not here.
     kept = np.flatnonzero(unknown == 0)
     entry, ptr = entries_of(ptr, kept)

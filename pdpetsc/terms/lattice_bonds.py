@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup
 from pdpetsc.bond_based import BondStiffness
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
@@ -73,9 +73,8 @@ class LatticeBonds(BondForces):
         ptr, steps, _, _, stiffness = self._patterns
         for number in range(lattice.n_patterns):
             entries = slice(int(ptr[number]), int(ptr[number + 1]))
-            order = np.argsort(steps[entries])
             mine = pattern == number
-            k[mine] = stiffness[entries][order[np.searchsorted(steps[entries][order], step[mine])]]
+            k[mine] = stiffness[entries][Lookup(steps[entries]).of(step[mine])]
         return BondStiffness(k)
 
     @cached_property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.discrete.communicator import agreed, exchange, largest, total
 from pdpetsc.discrete.halo import Halo
@@ -101,8 +101,7 @@ class ParticleContactForces(Term):
         cloud, families = body.cloud, body.families
         # Bonds of the own particles by both global ids.
         keys = cloud.gid[families.centres] * cloud.n_global + cloud.gid[families.neighbours]
-        self._order = np.argsort(keys)
-        self._keys = keys[self._order]
+        self._bond_of = Lookup(keys)
         body.overlap.couple(self._rows.astype(np.int32))
         self._before = np.zeros((cloud.n_owned, body.dim))
         self._near = self._searched(self._before)
@@ -151,22 +150,15 @@ class ParticleContactForces(Term):
         one, other = one[kept], other[kept]
         order = np.lexsort((gid[other], one))
         one, other = one[order], other[order]
-        key = gid[one] * cloud.n_global + gid[other]
-        at = np.minimum(np.searchsorted(self._keys, key), max(len(self._keys) - 1, 0))
-        known = self._keys[at] == key if len(self._keys) else np.zeros(len(key), dtype=bool)
-        bond = np.where(known, self._order[at] if len(self._keys) else -1, -1)
+        bond = self._bond_of.of(gid[one] * cloud.n_global + gid[other])
         # Bonds that cannot fail never touch.
         if self._bonds is None:
-            one, other, bond = one[~known], other[~known], bond[~known]
+            one, other, bond = (rows[bond < 0] for rows in (one, other, bond))
         xi = x[one] - x[other]
         r0 = np.minimum(self._distance, np.linalg.norm(xi, axis=1))
         k = self._c * np.sqrt(volume[one] * volume[other]) / self._spacing
-        local = np.concatenate([np.arange(n), np.full(len(gids), -1)]).astype(np.int32)
-        ghosts = np.argsort(cloud.gid[n:])
-        place = np.minimum(np.searchsorted(cloud.gid[n:][ghosts], gids), max(len(ghosts) - 1, 0))
-        if len(ghosts):
-            found = n + ghosts[place]
-            local[n:] = np.where(cloud.gid[found] == gids, found, -1)
+        ghosts = Lookup(cloud.gid[n:]).of(gids)
+        local = np.concatenate([np.arange(n), np.where(ghosts < 0, -1, n + ghosts)]).astype(np.int32)
         return _Near(u.copy(), halo, local, one, other, xi, r0, k, bond)
 
     def _renew(self, u: Float) -> bool:

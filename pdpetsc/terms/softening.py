@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Lookup
 from pdpetsc.damage.criterion import EndpointMean, Gradient, NonlocalPart
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Product, SofteningProduct
@@ -85,9 +85,8 @@ def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: 
     if gradient.nonlocal_part is not None:
         count = np.diff(gradient.nonlocal_part.ptr)
         key = np.repeat(np.arange(n_owned), np.diff(whole.point_ptr)) * body.cloud.n_local + whole.members
-        order = np.argsort(key)
         centre = np.repeat(centres[bonds].astype(np.int64), count)
-        at = order[np.searchsorted(key[order], centre * body.cloud.n_local + gradient.nonlocal_part.particles)]
+        at = Lookup(key).of(centre * body.cloud.n_local + gradient.nonlocal_part.particles)
         np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.nonlocal_part.by)
     for ends in gradient.ends:
         # The other ends of the bonds depend on particles outside the family; the own end replaces them.

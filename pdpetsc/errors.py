@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sysconfig
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,15 @@ class NoConformingWeights(CaseError):
 
 class SolveError(PdpetscError, RuntimeError):
     """A load step did not converge; everything up to the last converged step is on disk."""
+
+
+@contextmanager
+def case_errors() -> Iterator[None]:
+    """Turn a SolveError in the ``with`` block into a CaseError: a function of the case fails before the run begins."""
+    try:
+        yield
+    except SolveError as error:
+        raise CaseError(str(error)) from error
 
 
 class CheckError(PdpetscError, AssertionError):

@@ -9,7 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Centrifugal, evaluated
 from pdpetsc.discrete.communicator import total
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -50,10 +50,8 @@ class CentrifugalForce(FollowingLoad):
         self._P = np.eye(dim) - (np.outer(axis, axis) / (axis @ axis) if dim == 3 else 0.0)
         self._declared, self._mass = declared, mass
         self._arm = (body.cloud.x[: body.cloud.n_owned] - np.asarray(declared.about, dtype=float)) @ self._P
-        try:
+        with case_errors():
             force = total(body.cloud.comm, self._squared(1.0) * (mass @ self._arm))
-        except SolveError as error:
-            raise CaseError(str(error)) from error
         super().__init__(name, force)
 
     def _squared(self, t: float) -> float:

@@ -37,7 +37,7 @@ from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSourc
 from pdpetsc.declare.tools import Contact, RigidTool
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.selection import select
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
@@ -505,12 +505,10 @@ def apply(
     onto = Applied(body, material_term, particles, times, density, bonds, duration)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, condition_name(condition, number))
-    try:
+    with case_errors():
         for t in times if onto.supports.given.shared else (1.0,):
             onto.supports.prescribed(t)
         onto.loads.forces(1.0)
         if body.surface is not None:
             onto.surface_loads.forces(1.0)
-    except SolveError as error:
-        raise CaseError(str(error)) from error
     return onto

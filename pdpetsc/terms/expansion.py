@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.bond_based import BondMaterial
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.material import Material
 from pdpetsc.material.thermal import Thermal
 from pdpetsc.problem.body import Body
@@ -27,11 +27,9 @@ def prescribed_temperature(body: Body, applied: Applied, start: Float) -> Prescr
     found = PrescribedTemperature(body.cloud, start)
     for name, condition, mask in applied.temperatures:
         found.prescribe(condition, mask, name)
-    try:
+    with case_errors():
         for t in applied.times if found.given.shared else ():
             found.at(t)
-    except SolveError as error:
-        raise CaseError(str(error)) from error
     return found
 
 
@@ -70,9 +68,7 @@ def stress_free(
         for one in materials
     ]
     made = StressFree(body.cloud, body.families, thermals, material_of, field, strains, np.array(across)[material_of])
-    try:
+    with case_errors():
         for t in (0.0, 1.0):
             _ = made.at(t).strain, made.at(t).factor
-    except SolveError as error:
-        raise CaseError(str(error)) from error
     return made

@@ -9,7 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.declare.conditions import FollowerPressure
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import case_errors
 from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -44,10 +44,8 @@ class PressureOnDeformed(FollowingLoad):
         assert surface is not None
         self._facets = ChosenFacets(surface, surface.select(body.cloud, declared.region, name))
         self._G = surface.gradient(body.cloud)[self._facets.entry]
-        try:
+        with case_errors():
             force = -total(body.cloud.comm, self._pressure(1.0) @ self._facets.area)
-        except SolveError as error:
-            raise CaseError(str(error)) from error
         super().__init__(name, force)
 
     @property

@@ -11,7 +11,7 @@ import scipy
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
 from pdpetsc.discrete.communicator import agreed
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.gradient.base import GradientOperator, stencil_weights
 from pdpetsc.gradient.base import with_centres as with_centres_of
 from pdpetsc.gradient.products import Product
@@ -358,7 +358,7 @@ def heat_of(
         reference = reference_temperature(thermals, material_of)
         start = declared.at_start(cloud.x[: cloud.n_owned], reference)
     held = prescribed_temperature(body, applied, start.copy())
-    try:
+    with case_errors():
         given = held.at(0.0)
         start[held.held] = given[held.held]
         field = ConductedTemperature(start)
@@ -367,8 +367,6 @@ def heat_of(
         for t in (0.0, 1.0):
             made.sources(t)
             held.at(t)
-    except SolveError as error:
-        raise CaseError(str(error)) from error
     return made
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import case_errors
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -76,10 +76,8 @@ class PrescribedLoads(Term):
         """Record the resultant of a new load, for a function that computes its forces (n_rows, dim)."""
         self._changed()
         comm, n = self.body.cloud.comm, self.body.cloud.n_owned
-        try:
+        with case_errors():
             sums = [total(comm, forces(t)[:n].sum(axis=0)) for t in SHOWN]
-        except SolveError as error:
-            raise CaseError(str(error)) from error
         acting = next((number for number, force in enumerate(sums) if force.any()), 0)
         self._resultants.append((name, SHOWN[acting], sums[acting]))
         self._noted.append(forces)

@@ -17,6 +17,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.petsc.constrained import Constrained
 from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
 from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
+from pdpetsc.petsc.properties import PER_ENTRY
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
 from pdpetsc.problem.assembly import Assembler, Filler
@@ -123,7 +124,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
         why = "-pd_jacobian matfree"
     elif narrow:
         why += ", rows are hardly longer than those of nearest neighbours"
-    size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
+    size = dim**2 * PER_ENTRY
     levels = database.getString("pc_mg_type", str(chosen.get("pc_mg_type", "additive")))
     if not matrix_free or pc not in ("", "mg"):
         levels = ""

@@ -8,10 +8,11 @@ from petsc4py import PETSc
 from pdpetsc.arrays import GlobalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.components import rigid_modes
-from pdpetsc.discrete.sparsity import Sparsity
+from pdpetsc.discrete.sparsity import Sparsity, positions_of_own_blocks
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.petsc.combination import combination_matrix
 from pdpetsc.petsc.library import seq_blocks, values_of
+from pdpetsc.petsc.properties import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
@@ -26,7 +27,7 @@ def predicted_bytes(sparsity: Sparsity, dim: int) -> int:
     Collective.
     """
     index = np.dtype(PETSc.IntType).itemsize
-    per_rank = sparsity.n_blocks * dim * dim * (8 + index) + sparsity.cloud.n_rows * dim * 6 * index
+    per_rank = sparsity.n_blocks * dim * dim * PER_ENTRY + sparsity.cloud.n_rows * dim * 6 * index
     return int(total(sparsity.cloud.comm, per_rank))
 
 
@@ -69,10 +70,10 @@ class TangentMatrix(PetscTangent):
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
         self._n_off = int(rows.off_ptr[-1]) * dim * dim
         other = sparsity.of_other_columns(fixed.astype(np.int8)).astype(bool)
-        is_diag = rows.columns < n
+        is_diag, axis = rows.columns < n, np.arange(dim)
         self._zero_diag = _constrained(rows.diag_ptr, rows.columns[is_diag], fixed, fixed)
         self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
-        self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
+        self._diagonal = positions_of_own_blocks(rows, n, dim)[:, axis, axis].ravel()
         self._handles = seq_blocks(self._whole)
         self._filled = -1
         self.diagonal = np.zeros(n * dim)
@@ -133,8 +134,7 @@ class TangentMatrix(PetscTangent):
     @property
     def bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        entries = self.mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"]
-        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
+        return allocated_bytes(self.mat)
 
     def destroy(self) -> None:
         self.mat.destroy()
@@ -162,10 +162,10 @@ def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
 
 def _describe(mat: PETSc.Mat, problem: Problem) -> None:
     """Set the symmetry and the near-null space of the matrix."""
-    if problem.symmetric:
-        mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-    _attach_rigid_modes(mat, problem)
+    set_symmetry(mat, problem)
+    modes = rigid_modes(problem.body.cloud)
+    of_virtual = np.zeros((problem.body.cloud.n_virtual, *modes.shape[1:]))
+    set_rigid_modes(mat, np.concatenate([modes, of_virtual]))
 
 
 def _global_columns(sparsity: Sparsity) -> GlobalIndex:
@@ -189,32 +189,3 @@ def _constrained(ptr: GlobalIndex, columns: GlobalIndex, fixed_rows: Mask, fixed
     position = start[:, None, None] + (dim * width)[:, None, None] * i + k
     hit = fixed_rows[row][:, :, None] | fixed_columns[column][:, None, :]
     return np.asarray(position[hit])
-
-
-def _diagonal(ptr: GlobalIndex, columns: GlobalIndex, dim: int) -> GlobalIndex:
-    """Return the position of every diagonal value, (n_owned * dim,)."""
-    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
-    block = np.flatnonzero(columns == row)
-    start = dim * dim * ptr[:-1] + dim * (block - ptr[:-1])
-    i = np.arange(dim)
-    return np.asarray(start[:, None] + (dim * np.diff(ptr))[:, None] * i + i).ravel()
-
-
-def _attach_rigid_modes(mat: PETSc.Mat, problem: Problem) -> None:
-    """Set the near-null space of the matrix, which algebraic multigrid uses for coarsening."""
-    cloud = problem.body.cloud
-    modes = rigid_modes(cloud)
-    basis = []
-    for m in range(modes.shape[2]):
-        vec = mat.createVecLeft()
-        vec.array = np.concatenate([modes[:, :, m], np.zeros((cloud.n_virtual, problem.dim))]).ravel()
-        basis.append(vec)
-    for m, vec in enumerate(basis):
-        for earlier in basis[:m]:
-            vec.axpy(-vec.dot(earlier), earlier)
-        vec.normalize()
-    space = PETSc.NullSpace().create(vectors=basis, comm=cloud.comm)
-    mat.setNearNullSpace(space)
-    space.destroy()
-    for vec in basis:
-        vec.destroy()

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.petsc.matrix import TangentMatrix
+from pdpetsc.petsc.properties import set_symmetry
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.nearest_neighbours import NearAssembler
@@ -90,9 +91,7 @@ class MatrixFreeTangent(PetscTangent):
         self._product = _Product(problem.supports, scale)
         sizes = self.preconditioner.getSizes()
         self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=problem.body.cloud.comm)
-        if problem.symmetric:
-            self.mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self.mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        set_symmetry(self.mat, problem)
         self.mat.setUp()
         self._version = -1
         self._effort: float | None = None

@@ -12,6 +12,7 @@ from pdpetsc.gradient.near_inverse import Entries
 from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
+from pdpetsc.petsc.properties import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
 from pdpetsc.petsc.scalar import assembled
 from pdpetsc.petsc.shell import Shell
 from pdpetsc.problem.background_elements import BackgroundElements
@@ -61,8 +62,8 @@ class TwoLevel(Preconditioning):
         self._rows = row_ptr.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         self.coarse.setPreallocationCSR(self._rows)
         for mat in (self.mat, self.coarse):
-            self._set_symmetric(mat)
-        _attach_modes(self.coarse, grid.rigid_modes())
+            set_symmetry(mat, problem)
+        set_rigid_modes(self.coarse, grid.rigid_modes())
         fine = (problem.body.cloud.n_rows * dim, self.mat.getSize()[0])
         self._interpolation = PETSc.Mat().createPython(
             (fine, size), context=_Interpolation(grid, self.coarse), comm=comm
@@ -116,11 +117,6 @@ class TwoLevel(Preconditioning):
         definite(blocks, LEAST * size / (self.mat.getSize()[0] * self._scale))
         return blocks
 
-    def _set_symmetric(self, mat: PETSc.Mat) -> None:
-        if self._problem.symmetric:
-            mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-
     def _take_nodes(self, values: Float) -> None:
         """Build the matrix of the nodes from the values of the grid and the springs between facets (collective)."""
         assert self._interface is not None
@@ -132,8 +128,8 @@ class TwoLevel(Preconditioning):
         coarse.setBlockSize(self._problem.dim)
         self.coarse.destroy()
         self.coarse = coarse
-        self._set_symmetric(coarse)
-        _attach_modes(coarse, self._grid.rigid_modes())
+        set_symmetry(coarse, self._problem)
+        set_rigid_modes(coarse, self._grid.rigid_modes())
         if self._nodes is not None:
             self._nodes.setOperators(coarse, coarse)
 
@@ -179,8 +175,7 @@ class TwoLevel(Preconditioning):
     @property
     def bytes(self) -> int:
         """Return the memory of the entries of both matrices, over all ranks [bytes]."""
-        entries = sum(mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"] for mat in (self.mat, self.coarse))
-        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
+        return allocated_bytes(self.mat, self.coarse)
 
     def destroy(self) -> None:
         self._interpolation.destroy()
@@ -195,7 +190,7 @@ def predicted_bytes_of(grid: BackgroundElements) -> int:
     """Estimate the memory of the matrix entries of a grid over all ranks [bytes] (collective)."""
     cloud, dim = grid.problem.body.cloud, grid.problem.dim
     entries = grid.n_entries + cloud.n_rows * dim**2
-    return int(total(cloud.comm, entries)) * (8 + np.dtype(PETSc.IntType).itemsize)
+    return int(total(cloud.comm, entries)) * PER_ENTRY
 
 
 class _Interpolation:
@@ -248,23 +243,3 @@ def _blocks_of_virtual(tangent: Tangent) -> Float:
         if cloud.n_virtual:
             blocks[v, :, c] = column[cloud.n_owned + v]
     return blocks
-
-
-def _attach_modes(mat: PETSc.Mat, modes: Float) -> None:
-    """Set the near-null space of a matrix from rigid motions of its rows (n, dim, modes) (collective)."""
-    basis: list[PETSc.Vec] = []
-    for m in range(modes.shape[2]):
-        vec = mat.createVecLeft()
-        vec.setArray(modes[:, :, m].ravel())
-        for earlier in basis:
-            vec.axpy(-vec.dot(earlier), earlier)
-        if vec.norm() > 0.0:
-            vec.normalize()
-            basis.append(vec)
-        else:
-            vec.destroy()
-    space = PETSc.NullSpace().create(vectors=basis, comm=mat.getComm())
-    mat.setNearNullSpace(space)
-    space.destroy()
-    for vec in basis:
-        vec.destroy()

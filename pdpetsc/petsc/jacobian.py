@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.constrained import Constrained
 from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
-from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
+from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix, Preconditioning
 from pdpetsc.petsc.properties import PER_ENTRY
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
@@ -152,12 +152,26 @@ def assembler(problem: Problem, choice: Choice) -> Filler:
 
 def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
     """Build the tangent over ``scale`` [force / length] from the object that fills its matrices (collective)."""
-    return _TANGENTS[type(filler)](filler, fixed, scale)
+    problem = filler.problem
+    preconditioning: Preconditioning
+    if isinstance(filler, BackgroundElements):
+        preconditioning = levels = TwoLevel(filler, fixed, scale)
+        if problem.constrained:
+            preconditioning = Constrained(levels, problem, fixed, scale)
+    elif isinstance(filler, NearAssembler):
+        preconditioning = NearMatrix(filler, fixed, scale)
+    else:
+        assert isinstance(filler, Assembler)
+        return TangentMatrix(filler, fixed, scale)
+    return MatrixFreeTangent(problem, preconditioning, fixed, scale)
 
 
 def predicted(filler: Filler) -> int:
     """Estimate the memory of the matrix entries over all ranks [bytes] (collective)."""
-    return _MEMORY[type(filler)](filler)
+    if isinstance(filler, BackgroundElements):
+        return predicted_bytes_of(filler)
+    assert isinstance(filler, Assembler)
+    return predicted_bytes(filler.pattern, filler.problem.dim)
 
 
 def words(choice: Choice, predicted: int) -> str:
@@ -178,37 +192,6 @@ def matrices(choice: Choice) -> str:
     if not choice.matrix_free:
         return "tangent matrix"
     return "matrix of the background grid" if choice.levels else "matrix of nearest neighbours"
-
-
-def _assembled(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
-    return TangentMatrix(filler, fixed, scale)
-
-
-def _by_nearest_neighbours(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
-    return MatrixFreeTangent(filler.problem, NearMatrix(filler, fixed, scale), fixed, scale)
-
-
-def _on_two_levels(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
-    levels = TwoLevel(filler, fixed, scale)
-    if not filler.problem.constrained:
-        return MatrixFreeTangent(filler.problem, levels, fixed, scale)
-    return MatrixFreeTangent(filler.problem, Constrained(levels, filler.problem, fixed, scale), fixed, scale)
-
-
-def _of_pattern(filler: Any) -> int:
-    return predicted_bytes(filler.pattern, filler.problem.dim)
-
-
-_TANGENTS: dict[type[Filler], Callable[[Any, Mask, float], PetscTangent]] = {
-    Assembler: _assembled,
-    NearAssembler: _by_nearest_neighbours,
-    BackgroundElements: _on_two_levels,
-}
-_MEMORY: dict[type[Filler], Callable[[Any], int]] = {
-    Assembler: _of_pattern,
-    NearAssembler: _of_pattern,
-    BackgroundElements: predicted_bytes_of,
-}
 
 
 def _blocks(problem: Problem) -> float:

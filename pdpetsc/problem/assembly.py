@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.sparsity import Sparsity, build_sparsity, positions_of_own_blocks
+from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.gradient.products import Entries
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
@@ -36,6 +36,8 @@ class Assembler(Filler):
     ----------
     problem : Problem
         The problem.
+    stencils : (point_ptr, members), optional
+        Particles that the matrix couples; by default those that the terms couple.
 
     Attributes
     ----------
@@ -47,12 +49,9 @@ class Assembler(Filler):
     Construction and ``assemble`` are collective.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self._start(problem, build_sparsity(problem.body.cloud, *_stencils(problem)))
-
-    def _start(self, problem: Problem, sparsity: Sparsity) -> None:
+    def __init__(self, problem: Problem, stencils: tuple[GlobalIndex, LocalIndex] | None = None) -> None:
         self.problem = problem
-        self.pattern = sparsity
+        self.pattern = sparsity = build_sparsity(problem.body.cloud, *(stencils or _stencils(problem)))
         dim = problem.dim
         self._ghost = np.empty(dim**2 * int(sparsity.ghost.diag_ptr[-1]))
         self._own_blocks = positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)

@@ -8,7 +8,6 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.sparsity import build_sparsity
 from pdpetsc.gradient.base import GradientOperator, Moduli, flat, shape_tensors, stencil_weights, whole_families
 from pdpetsc.gradient.products import Entries, PointBlocks, PointProduct, Product
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
@@ -57,7 +56,7 @@ class NearAssembler(Assembler):
         g = stencil_weights(stencils, cloud.x, self._K_inverse)
         one = np.ones(cloud.n_owned)
         self._operator = GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, one)
-        self._start(problem, build_sparsity(cloud, self._operator.point_ptr, self._operator.members))
+        super().__init__(problem, (stencils.point_ptr, stencils.members))
         self._tangent: Tangent | None = None
 
     def take_tangent(self) -> Tangent:

@@ -713,8 +713,7 @@ class OnSurface(_OfField):
         Collective.
         """
         body = solution.problem.body
-        cloud, surface = body.cloud, body.surface
-        assert surface is not None
+        cloud, surface = body.cloud, body.known_surface
         values = _component_of(solution, self.field, self.component)
         sign, known = None, _known(self.field)
         if len(cloud.sign) and not (known is not None and known.principal):

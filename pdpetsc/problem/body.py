@@ -59,6 +59,12 @@ class Body:
         return self.thermals is not None
 
     @property
+    def known_surface(self) -> Surface:
+        """Return the surface, for terms that need it."""
+        assert self.surface is not None
+        return self.surface
+
+    @property
     def dim(self) -> int:
         """Return the dimension."""
         return self.cloud.dim

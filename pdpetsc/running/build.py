@@ -475,8 +475,7 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
 
     ``Q_ik = A_imkn n_m n_n`` is the acoustic tensor of the undeformed material (not collective).
     """
-    surface, dim = body.surface, body.dim
-    assert surface is not None
+    surface, dim = body.known_surface, body.dim
     area, owner = surface.area[mask], surface.owner[mask]
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]

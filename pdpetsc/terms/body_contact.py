@@ -67,7 +67,8 @@ class BodyContactForces(FacetContact):
         if bodies:
             named = ["body " + " or ".join(repr(bodies[number]) for number in numbers_of) for numbers_of in numbers]
         self._reach = declared.reach_at(cloud.horizon)
-        mine, self._theirs, theirs = sides_of(body, one, other, self._reach, name)
+        corners, depth = corners_of(body, name)
+        mine, self._theirs, theirs = sides_of(body, one, other, self._reach, corners, depth)
         # One multiplier for each flat part of the surface of a particle and each body before it: the displacement
         # cannot follow more of them.
         self._part, self._bodies = mine.parts, 1
@@ -100,7 +101,7 @@ class BodyContactForces(FacetContact):
             raise CaseError(
                 f"The bodies of {name} overlap by {overlap:.3g} at the start; begin with a gap or in touch."
             )
-        shared = shared_point(body, corners_of(body, name)[0], *numbers)
+        shared = shared_point(body, corners, *numbers)
         if shared is not None:
             both = " and ".join(repr(bodies[number]) if bodies else str(number) for number in shared[:2])
             at = ", ".join(f"{along:.4g}" for along in shared[2])

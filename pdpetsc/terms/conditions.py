@@ -199,9 +199,7 @@ class Applied:
 
     def absorbing_boundary(self, condition: AbsorbingBoundary, name: str) -> None:
         """Add dashpots on facets."""
-        surface = self.body.surface
-        assert surface is not None
-        mask = surface.select(self.body.cloud, condition.region, name)
+        mask = self._facets(condition.region, name)
         self.absorbing = mask if self.absorbing is None else mask | self.absorbing
 
     @property
@@ -340,8 +338,7 @@ class Applied:
                     f'Contact of both regions: pd.region.Face("+x") | pd.region.Face("+y").'
                 )
             self._loaded_tools.append(condition.tool)
-        assert self.body.surface is not None
-        mask = self.body.surface.select(cloud, condition.region, name)
+        mask = self._facets(condition.region, name)
         self._take_name(condition.name)
         stiffness, spacing = self._contact_stiffness(condition, mask)
         self.following.append(ContactForces(self.body, condition, mask, stiffness, spacing, name))
@@ -376,9 +373,7 @@ class Applied:
 
     def foundation(self, condition: Foundation, name: str) -> None:
         """Add springs on facets."""
-        surface = self.body.surface
-        assert surface is not None
-        facets = ChosenFacets(surface, surface.select(self.body.cloud, condition.region, name))
+        facets = ChosenFacets(self.body.known_surface, self._facets(condition.region, name))
         self._take_name(condition.name)
         points = Points.on(facets)
         normals = facets.area / points.area[:, None]
@@ -388,11 +383,9 @@ class Applied:
 
     def _two_parts(self, condition: BodyContact | Tied, name: str) -> tuple[Mask, Mask, float, float]:
         """Return the facets of two parts of the surface, the stiffness between them and the coarser spacing."""
-        surface = self.body.surface
-        assert surface is not None
         if self.cell is not None:
             raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
-        one, other = (surface.select(self.body.cloud, region, name) for region in (condition.region, condition.other))
+        one, other = (self._facets(region, name) for region in (condition.region, condition.other))
         self._take_name(condition.name)
         found = [self._contact_stiffness(condition, mask) for mask in (one, other)]
         return one, other, min(stiffness for stiffness, _ in found), max(spacing for _, spacing in found)
@@ -455,14 +448,17 @@ class Applied:
 
     def heat_flux(self, condition: HeatFlux | Convection, name: str) -> None:
         """Store a heat flux through facets, given or by convection."""
-        assert self.body.surface is not None
-        self.heat.append((name, condition, self.body.surface.select(self.body.cloud, condition.region, name)))
+        self.heat.append((name, condition, self._facets(condition.region, name)))
 
     def _where(self, condition: VectorCondition, name: str) -> tuple[Mask, list[tuple[int, Value]]]:
         """Return own particles in the region of a condition, and its components, checked on all ranks (collective)."""
         mask = select(self.body.cloud, condition.region, name)
         with agreed(self.body.cloud.comm):
             return mask, condition.components(self.body.dim)
+
+    def _facets(self, region: Region, name: str) -> Mask:
+        """Return the facets of the surface in a region (collective)."""
+        return self.body.known_surface.select(self.body.cloud, region, name)
 
     def _components(self, condition: MeanStrain | MeanStress, name: str) -> list[tuple[int, float]]:
         if self.cell is None:

@@ -55,9 +55,7 @@ class ContactForces(FacetContact):
     def __init__(
         self, body: Body, declared: Contact, mask: Mask, stiffness: float, spacing: float, name: str
     ) -> None:  # fmt: skip
-        surface = body.surface
-        assert surface is not None
-        facets = ChosenFacets(surface, mask)
+        facets = ChosenFacets(body.known_surface, mask)
         title = f"The tool of {name}"
         super().__init__(
             body, facets.stencils.owner, declared.friction, stiffness, spacing, declared.penetration, title,

@@ -233,7 +233,9 @@ class Pairs:
         return Pairs(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
 
 
-def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tuple[Side, Side, Side]:
+def sides_of(
+    body: Body, one: Mask, other: Mask, reach: float, corners: Float, depth: float
+) -> tuple[Side, Side, Side]:  # fmt: skip
     """Return the own facets of both parts of the surface, and all facets of the other part within a reach of the first.
 
     The latter include images behind mirror planes.
@@ -244,21 +246,14 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
         Facets of the surface of this rank that belong to each part.
     reach : float
         Distance in the undeformed body [length].
-    name : str
-        Name of the condition in messages.
-
-    Raises
-    ------
-    CaseError
-        The outlines of the facets are unknown.
+    corners, depth
+        As of ``corners_of``.
 
     Notes
     -----
     Collective.
     """
-    cloud, surface = body.cloud, body.surface
-    assert surface is not None
-    corners, depth = corners_of(body, name)
+    cloud, surface = body.cloud, body.known_surface
     key = _keys(cloud, surface)
     G = surface.gradient(cloud)
     mine = _side(surface, corners, key, G, one, one & other, depth)
@@ -268,9 +263,11 @@ def sides_of(body: Body, one: Mask, other: Mask, reach: float, name: str) -> tup
 
 
 def corners_of(body: Body, name: str) -> tuple[Float, float]:
-    """Return the corners of all facets of this rank as in ``Side``, and its ``depth`` (collective)."""
-    cloud, surface = body.cloud, body.surface
-    assert surface is not None
+    """Return the corners of all facets of this rank as in ``Side``, and its ``depth`` (collective).
+
+    ``name`` is the condition in the message of the CaseError if outlines are unknown.
+    """
+    cloud, surface = body.cloud, body.known_surface
     length = largest(cloud.comm, float(np.linalg.norm(surface.area, axis=1).max(initial=0.0))) / body.thickness
     with agreed(cloud.comm):
         corners = _corners(surface, body.thickness, length, name)

@@ -40,8 +40,7 @@ class PressureOnDeformed(FollowingLoad):
 
     def __init__(self, body: Body, declared: FollowerPressure, name: str) -> None:
         self.body, self._declared = body, declared
-        surface = body.surface
-        assert surface is not None
+        surface = body.known_surface
         self._facets = ChosenFacets(surface, surface.select(body.cloud, declared.region, name))
         self._G = surface.gradient(body.cloud)[self._facets.entry]
         with case_errors():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError, case_errors
@@ -205,7 +205,7 @@ class Heat(Term):
 
     def sources(self, t: float) -> Float:
         """Compute Q of the own particles at load parameter ``t`` (n_owned,) [power] (collective)."""
-        body, surface = self.body, self.body.surface
+        body = self.body
         n = body.cloud.n_owned
         Q = np.zeros(body.cloud.n_local)
         with agreed(body.cloud.comm):
@@ -214,10 +214,10 @@ class Heat(Term):
                 if isinstance(condition, HeatSource):
                     Q[own] += condition.values(body.cloud.x[own], t) * body.cloud.volume[own]
                     continue
-                assert surface is not None
-                through = np.zeros(len(surface.x))
-                through[own] = condition.values(surface.x[own], t) * np.linalg.norm(surface.area[own], axis=1)
-                Q += np.bincount(surface.members, surface.N * through[self._facets], len(Q))
+                surface = body.known_surface
+                through = np.zeros((len(surface.x), 1))
+                through[own, 0] = condition.values(surface.x[own], t) * np.linalg.norm(surface.area[own], axis=1)
+                surface.spread(through, Q[:, None])
         body.cloud.halo.reverse(Q)
         return Q[:n]
 
@@ -309,20 +309,13 @@ class Heat(Term):
         D = _differences(families.centres, families.neighbours, self.body.cloud.n_local)
         return scipy.sparse.csr_matrix(D.T @ scipy.sparse.diags(self._kappa()) @ D)
 
-    @property
-    def _facets(self) -> GlobalIndex:
-        """Return the facet of every entry of the surface."""
-        surface = self.body.surface
-        assert surface is not None
-        return np.repeat(np.arange(len(surface.x)), np.diff(surface.ptr))
-
     def _convection(self) -> scipy.sparse.csr_matrix:
         """Compute ``sum_f h |a_f| N_f (x) N_f``."""
-        n, surface = self.body.cloud.n_local, self.body.surface
+        n = self.body.cloud.n_local
         K = scipy.sparse.csr_matrix((n, n))
         for condition, mask in self._entering:
             if isinstance(condition, Convection):
-                assert surface is not None
+                surface = self.body.known_surface
                 h = np.where(mask, condition.coefficient * np.linalg.norm(surface.area, axis=1), 0.0)
                 N = scipy.sparse.csr_matrix((surface.N, surface.members, surface.ptr), shape=(len(surface.x), n))
                 K = K + scipy.sparse.csr_matrix(N.T @ scipy.sparse.diags(h) @ N)

@@ -19,12 +19,11 @@ BEHIND = 0.25
 
 def bodies_of(body: Body, facets: Mask) -> list[int]:
     """Return the numbers of the bodies that facets (n_facets,) of the surface belong to (collective)."""
-    cloud, surface = body.cloud, body.surface
-    assert surface is not None
+    cloud = body.cloud
     if cloud.body is None:
         return [0]
     count = 1 + int(largest(cloud.comm, float(cloud.body.max(initial=0))))
-    found = total(cloud.comm, np.bincount(cloud.body[surface.owner[facets]], minlength=count))
+    found = total(cloud.comm, np.bincount(cloud.body[body.known_surface.owner[facets]], minlength=count))
     return [int(number) for number in np.flatnonzero(found)]
 
 
@@ -44,8 +43,7 @@ def shared_point(body: Body, corners: Float, one: list[int], other: list[int]) -
     -----
     Collective.
     """
-    cloud, surface = body.cloud, body.surface
-    assert surface is not None
+    cloud, surface = body.cloud, body.known_surface
     if cloud.body is None:
         return None
     number = cloud.body[surface.owner]

@@ -12,7 +12,6 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.declare.region import Named, Region
 from pdpetsc.discrete.communicator import agreed, bounds, total
-from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.terms.prescribed_loads import SHOWN, PrescribedLoads
@@ -71,7 +70,7 @@ class SurfaceLoads(PrescribedLoads):
 
         facets = self._facets(condition.region, normal, name)
         sides = self._sides(facets)
-        tagged = isinstance(condition.region, Named) and condition.region.name in self._surface.tags
+        tagged = isinstance(condition.region, Named) and condition.region.name in self.body.known_surface.tags
         if normal is None and not tagged and len(sides) > 1 and self._uniform(facets, forces):
             raise CaseError(
                 f"The region of {name} holds facets on {len(sides)} sides of the body, and a traction acts on "
@@ -90,7 +89,7 @@ class SurfaceLoads(PrescribedLoads):
 
     def _facets(self, region: Region, normal: Float | None, name: str) -> GlobalIndex:
         """Return the facets in a region on this rank that face the direction of a normal, if there is one."""
-        surface, cloud = self._surface, self.body.cloud
+        surface, cloud = self.body.known_surface, self.body.cloud
         mask = surface.select(cloud, region, name)
         if normal is not None:
             mask &= surface.area @ normal > LOOKS * np.linalg.norm(surface.area, axis=1)
@@ -107,7 +106,7 @@ class SurfaceLoads(PrescribedLoads):
         A slab at the end of a bar contains facets of its top and bottom too. A staircase has more area than the curve
         that it approximates.
         """
-        area, comm = self._surface.area[facets], self.body.cloud.comm
+        area, comm = self.body.known_surface.area[facets], self.body.cloud.comm
         along = area / np.linalg.norm(area, axis=1)[:, None]
         sides = np.array([np.count_nonzero(sign * along > ON_SIDE, axis=0) for sign in (-1.0, 1.0)])
         count = total(comm, [*sides.ravel(), len(area)])
@@ -121,11 +120,11 @@ class SurfaceLoads(PrescribedLoads):
 
         A function that tells sides apart is not.
         """
-        comm, area, acts = self.body.cloud.comm, self._surface.area[facets], False
+        comm, area, acts = self.body.cloud.comm, self.body.known_surface.area[facets], False
         for at in SHOWN:
             try:
                 with agreed(comm):
-                    t = forces(self._surface.x[facets], area, at) / np.linalg.norm(area, axis=1)[:, None]
+                    t = forces(self.body.known_surface.x[facets], area, at) / np.linalg.norm(area, axis=1)[:, None]
             except SolveError:  # reported with the resultant, or by the run
                 return False
             low, high = bounds(comm, t)
@@ -145,7 +144,7 @@ class SurfaceLoads(PrescribedLoads):
 
     def _sum(self, loads: list[_OnFacets], t: float) -> Float:
         """Return the sum of loads at load parameter ``t`` (n_rows, dim) [force]."""
-        cloud, surface = self.body.cloud, self._surface
+        cloud, surface = self.body.cloud, self.body.known_surface
         on_facets = np.zeros_like(surface.area)
         with agreed(cloud.comm):
             for applied in loads:
@@ -154,8 +153,3 @@ class SurfaceLoads(PrescribedLoads):
         f = np.zeros((cloud.n_local, cloud.dim))
         surface.spread(on_facets, f)
         return self.body.gather(f)
-
-    @property
-    def _surface(self) -> Surface:
-        assert self.body.surface is not None
-        return self.body.surface

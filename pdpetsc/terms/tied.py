@@ -11,7 +11,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.problem.body import Body
 from pdpetsc.terms.facet_contact import Points
-from pdpetsc.terms.facing import Search, both_ends, sides_of
+from pdpetsc.terms.facing import Search, both_ends, corners_of, sides_of
 from pdpetsc.terms.point_springs import PointSprings
 
 # Default stiffness over that of contact [-].
@@ -43,7 +43,7 @@ class TiedForces(PointSprings):
         self, body: Body, declared: Tied, one: Mask, other: Mask, stiffness: float, spacing: float, name: str
     ) -> None:
         cloud = body.cloud
-        mine, _, theirs = sides_of(body, one, other, cloud.horizon, name)
+        mine, _, theirs = sides_of(body, one, other, cloud.horizon, *corners_of(body, name))
         search = Search(cloud, mine, theirs, declared.gap * spacing)
         rest = np.zeros((cloud.n_local, body.dim))
         search.renew(rest)

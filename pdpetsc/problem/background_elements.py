@@ -19,7 +19,7 @@ from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
-from pdpetsc.problem.scales import nearest_distances
+from pdpetsc.problem.scales import mean_spacing
 from pdpetsc.problem.state import State
 
 # Smallest modulus, as a share of that of a particle with such a diagonal block. Without it, a particle whose family is
@@ -55,8 +55,8 @@ class BackgroundElements(BackgroundGrid, Filler):
         cloud, damage = problem.body.cloud, problem.bond_damage
         kept = np.empty(0, dtype=bool) if damage is None else damage.bonds.intact
         bonds, kept = with_pairs(problem.body.families.connecting_families, kept, problem.joined)
-        spacing = float(total(cloud.comm, float(nearest_distances(problem.body).sum()))) / cloud.n_global
-        super().__init__(cloud, bonds, kept, max(cloud.horizon, LEAST_WIDTH * spacing), ~problem.supports.fixed)
+        width = max(cloud.horizon, LEAST_WIDTH * mean_spacing(problem.body))
+        super().__init__(cloud, bonds, kept, width, ~problem.supports.fixed)
         self._set_pattern()
 
     def rehearse(self, state: State) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.kernels.sparsity import nearest_neighbours
 from pdpetsc.problem.body import Body
@@ -39,9 +39,7 @@ class Scales:
 
 def scales_of(body: Body, material_term: MaterialTerm) -> Scales:
     """Compute the scales of a body (collective)."""
-    cloud = body.cloud
-    length = float(total(cloud.comm, float(nearest_distances(body).sum()))) / cloud.n_global
-    return Scales(_power_of_two(length), _power_of_two(stiffness_scale(body, material_term)))
+    return Scales(_power_of_two(mean_spacing(body)), _power_of_two(stiffness_scale(body, material_term)))
 
 
 def stiffness_scale(body: Body, material_term: MaterialTerm) -> float:
@@ -49,6 +47,13 @@ def stiffness_scale(body: Body, material_term: MaterialTerm) -> float:
     cloud = body.cloud
     each = cloud.volume[: cloud.n_owned] / cloud.local_horizon[: cloud.n_owned] ** 2
     return material_term.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
+
+
+def mean_spacing(body: Body, chosen: Mask | GlobalIndex | slice = slice(None)) -> float:
+    """Compute the mean distance of chosen own particles to their nearest neighbours [length] (collective)."""
+    nearest = nearest_distances(body)[chosen]
+    distance, count = total(body.cloud.comm, [float(nearest.sum()), float(len(nearest))])
+    return float(distance / count)
 
 
 def nearest_distances(body: Body) -> Float:

@@ -42,7 +42,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.rigid_body import RigidBody
-from pdpetsc.problem.scales import nearest_distances
+from pdpetsc.problem.scales import mean_spacing
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.problem.ties import Combination
@@ -397,9 +397,7 @@ class Applied:
             raise CaseError(f"{name} does not act on images. Leave out the cell and mirror planes.")
         mask = select(cloud, condition.region, name)
         self._take_name(condition.name)
-        apart = nearest_distances(self.body)[mask]
-        spacing = float(total(cloud.comm, apart.sum()) / total(cloud.comm, len(apart)))
-        stiffness = condition.stiffness
+        spacing, stiffness = mean_spacing(self.body, mask), condition.stiffness
         if stiffness is None:
             stiffness = largest(cloud.comm, self._material_term.kappa) / spacing
         distance = spacing if condition.distance is None else condition.distance
@@ -415,14 +413,10 @@ class Applied:
 
     def _contact_stiffness(self, condition: Contact | BodyContact | Tied, mask: Mask) -> tuple[float, float]:
         """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
-        surface, comm = self.body.surface, self.body.cloud.comm
-        assert surface is not None
-        owner = surface.owner[mask]
-        apart = nearest_distances(self.body)[owner]
-        spacing = float(total(comm, apart.sum()) / total(comm, len(apart)))
+        spacing = mean_spacing(self.body, self.body.known_surface.owner[mask])
         if condition.stiffness is not None:
             return condition.stiffness, spacing
-        return STIFFNESS * largest(comm, self._material_term.kappa) / spacing, spacing
+        return STIFFNESS * largest(self.body.cloud.comm, self._material_term.kappa) / spacing, spacing
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

@@ -257,6 +257,11 @@ class Problem:
         loads = [term for term in self.terms if term.load]
         return -self.force_of(loads, state)
 
+    def given(self, t: float) -> tuple[Float, Float]:
+        """Return the prescribed displacements [length] and the loads on the undeformed body [force] (n_rows, dim)."""
+        prescribed = self.supports.prescribed(t)
+        return prescribed, self.external_force(self.state(np.zeros(self.supports.fixed.shape), t))
+
     def force_without_strain(self, t: float) -> Float | None:
         """Return the forces of the material of an expanding body at zero displacement (n_rows, dim) [force].
 

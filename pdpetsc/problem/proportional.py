@@ -38,17 +38,10 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
             f"{who} needs a body without stress where it is undeformed; with temperatures and eigenstrains take load "
             f"steps with Newton."
         )
-    zero = np.zeros(problem.supports.fixed.shape)
-    times = (*PROBES, *(BEYOND if beyond else ()))
-
-    def at(t: float) -> list[Float]:
-        return [problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))]
-
-    whole = at(1.0)
+    times, whole = (*PROBES, *(BEYOND if beyond else ())), problem.given(1.0)
     for t in times:
-        part = at(t)
         # Compare displacements and forces each with their own magnitude.
-        if any(_differ(problem, p, t * w, w) for p, w in zip(part, whole, strict=True)):
+        if any(_differ(problem, p, t * w, w) for p, w in zip(problem.given(t), whole, strict=True)):
             raise CaseError(
                 f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
                 f"the load goes up and down as equilibrium demands, which has no meaning for others."

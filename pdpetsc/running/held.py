@@ -196,8 +196,7 @@ def no_load_note(case: Case, problem: Problem) -> str:
     comm, zero = problem.body.cloud.comm, np.zeros(problem.supports.fixed.shape)
     try:
         for t in (*SHOWN, *case.steps.stops()):
-            given = problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))
-            if int(total(comm, sum(np.count_nonzero(values) for values in given))):
+            if int(total(comm, sum(np.count_nonzero(values) for values in problem.given(t)))):
                 return ""
         for t in SHOWN:
             internal = problem.internal_force(problem.state(zero, t))

@@ -105,11 +105,9 @@ def jump_note(case: Case, problem: Problem) -> str:
         lost = 0.0 if case.of_bonds else max(law.spread(first) for law in case.laws)
     if lost <= SPREAD:
         return ""
-    zero = np.zeros(problem.supports.fixed.shape)
 
     def sizes(t: float) -> Float:
-        given = problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))
-        return np.asarray(np.sqrt(total(comm, np.array([(values**2).sum() for values in given]))))
+        return np.asarray(np.sqrt(total(comm, np.array([(values**2).sum() for values in problem.given(t)]))))
 
     try:
         early, late = sizes(AFTER * first), sizes(first)

@@ -103,10 +103,8 @@ def _bends(case: Case, problem: Problem, across: int, along: int) -> bool:
     fixed = problem.supports.fixed[:n, across].astype(float)
     if (summed(layer, fixed, across) > HELD * summed(layer, np.ones(n), across)).any():
         return False
-    zero = np.zeros(problem.supports.fixed.shape)
     try:
-        moved = problem.supports.prescribed(first)[:n]
-        force = problem.external_force(problem.state(zero, first))[:n]
+        moved, force = (values[:n] for values in problem.given(first))
     except PdpetscError:  # reported by the run
         return False
     arm = cloud.x[:n, across] - 0.5 * (low[across] + high[across])

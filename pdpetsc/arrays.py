@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +43,20 @@ class Lookup:
         return np.where(self._ascending[place] == sought, self._order[place], -1)
 
 
+def starts_of(counts: NDArray[Any] | Sequence[int]) -> GlobalIndex:
+    """Return where the entries of each row of a CSR structure begin (n + 1,), for the count of each row (n,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64, copy=False)
+
+
+def row_of_entries(ptr: GlobalIndex) -> GlobalIndex:
+    """Return the row of every entry of a CSR structure (n_entries,)."""
+    return np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+
+
 def entries_of(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
     """Return the entries of some rows of a CSR structure (n_entries,), and where those of each row begin (n + 1,)."""
     size: GlobalIndex = np.diff(ptr)[rows]
-    first: GlobalIndex = np.concatenate([[0], np.cumsum(size)])
+    first = starts_of(size)
     within: GlobalIndex = np.arange(first[-1])
     return np.repeat(ptr[rows] - first[:-1], size) + within, first
 

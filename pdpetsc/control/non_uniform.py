@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex, entries_of
+from pdpetsc.arrays import Float, LocalIndex, entries_of, row_of_entries
 from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic, with_centre_forces
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
@@ -269,7 +269,7 @@ def forces_on_members(families: StencilMembers, s: Float, K_inverse: Float, x: F
     xi, eta = x[families.members] - x[centres], u[families.members] - u[centres]
     first = families.point_ptr[:-1]
     H = np.add.reduceat(np.einsum("e,ei,ej->eij", s, eta, xi), first, axis=0) @ K_inverse
-    of = np.repeat(np.arange(len(first)), np.diff(families.point_ptr))
+    of = row_of_entries(families.point_ptr)
     m = s[:, None] * (eta - np.einsum("eij,ej->ei", H[of], xi))
     m[first] = -np.add.reduceat(m, first, axis=0)
     return np.asarray(m)

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import GlobalIndex
+from pdpetsc.arrays import GlobalIndex, starts_of
 from pdpetsc.declare import abaqus, exodus, gmsh
 from pdpetsc.declare.cells import CORNERS, Block, MeshData
 from pdpetsc.errors import CaseError
@@ -276,7 +276,7 @@ OF_SURFACES: _Formats = {"stl": ((".stl",), _by_meshio("stl"))}
 
 def _of_meshio(mesh: Any) -> MeshData:
     blocks = [block_of(block.type, block.data) for block in mesh.cells]
-    starts = np.concatenate([[0], np.cumsum([len(block.nodes) for block in blocks])]).astype(np.int64)
+    starts = starts_of([len(block.nodes) for block in blocks])
     found: dict[str, list[GlobalIndex]] = {}
 
     def add(name: str, b: int, members: Any) -> None:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, twins
+from pdpetsc.arrays import Float, GlobalIndex, starts_of, twins
 from pdpetsc.declare.cells import FACETS, facet_keys
 
 # Corners of a box in the order of VTK; the first 2 and 4 are those of a line and of a rectangle.
@@ -76,7 +76,7 @@ class Cells:
         """Return cells from blocks (n, n_corners) of cells with equally many corners."""
         sizes = np.concatenate([np.full(len(part), part.shape[1]) for part in parts])
         corners = np.concatenate([np.ravel(part) for part in parts])
-        return cls(points, corners, np.concatenate([[0], np.cumsum(sizes)]), particle)
+        return cls(points, corners, starts_of(sizes), particle)
 
     @property
     def count(self) -> GlobalIndex:
@@ -174,7 +174,7 @@ class Cells:
         inside[np.concatenate(faces.shared)] = True
         turn = faces.turn[~inside]
         here = turn >= 0
-        offsets = np.concatenate([[0], np.cumsum(here.sum(axis=1))])
+        offsets = starts_of(here.sum(axis=1))
         return Cells(self.points, self.corners[turn[here]], offsets, self.owner[faces.cell[~inside]])
 
     def below(self, axis: int, at: float) -> Cells:
@@ -189,7 +189,7 @@ class Cells:
         points[:, axis] = np.minimum(along, at)
         return Cells(
             points, self.corners[np.repeat(chosen, self.count)],
-            np.concatenate([[0], np.cumsum(self.count[chosen])]),
+            starts_of(self.count[chosen]),
             None if self.particle is None else self.particle[chosen],
         )  # fmt: skip
 
@@ -259,7 +259,7 @@ def voronoi(x: Float, mirrored: tuple[Float, Float, GlobalIndex] | None) -> Cell
     points = np.concatenate([vertices, cells.points])
     away = points[corner] - x[particle]
     order = np.lexsort([np.arctan2(away[:, 1], away[:, 0]), particle])
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(particle, minlength=n))])
+    offsets = starts_of(np.bincount(particle, minlength=n))
     used, corners = np.unique(corner[order], return_inverse=True)
     return Cells(points[used], corners, offsets, np.arange(n))
 

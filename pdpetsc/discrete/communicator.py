@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import GlobalIndex
+from pdpetsc.arrays import GlobalIndex, starts_of
 from pdpetsc.errors import CaseError, PdpetscError, RunError, described, notice, rebuilt
 
 Comm: TypeAlias = MPI.Intracomm
@@ -166,7 +166,8 @@ def exchange(
         width = int(np.prod(array.shape[1:], dtype=np.int64)) * array.dtype.itemsize
         row = MPI.BYTE.Create_contiguous(width).Commit()
         comm.Alltoallv(
-            [rows.view(np.uint8), send, _starts(send), row], [result.view(np.uint8), counts, _starts(counts), row]
+            [rows.view(np.uint8), send, starts_of(send)[:-1], row],
+            [result.view(np.uint8), counts, starts_of(counts)[:-1], row],
         )
         row.Free()
         received.append(result)
@@ -213,7 +214,3 @@ def ask(
     found = np.empty_like(answer)
     found[np.argsort(holder, kind="stable")] = answer
     return found
-
-
-def _starts(counts: GlobalIndex) -> GlobalIndex:
-    return np.concatenate([[0], np.cumsum(counts)[:-1]])

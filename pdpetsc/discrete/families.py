@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, starts_of
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
@@ -81,7 +81,7 @@ class Families:
 
     def chosen(self, kept: Mask) -> Families:
         """Return families with the chosen bonds (n_bonds,) only."""
-        before = np.concatenate([[0], np.cumsum(kept, dtype=np.int64)])
+        before = starts_of(kept)
         return Families(before[self.indptr], self.neighbours[kept])
 
     def bonds(self, x: Float) -> Float:
@@ -135,7 +135,7 @@ def with_pairs(families: Families, kept: Mask, pairs: LocalIndex) -> tuple[Famil
     centres = np.concatenate([families.centres, pairs[:, 0]])
     order = np.argsort(centres, kind="stable")
     count = np.bincount(centres, minlength=len(families.indptr) - 1)
-    indptr = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    indptr = starts_of(count)
     neighbours = np.concatenate([families.neighbours, pairs[:, 1]])[order].astype(np.int32)
     if len(kept):
         kept = np.concatenate([kept, np.ones(len(pairs), dtype=bool)])[order]
@@ -176,7 +176,7 @@ class LatticeFamilies(Families):
         centres, members = self._of.connecting()
         order = np.argsort(centres, kind="stable")
         count = np.bincount(centres, minlength=self._of.cloud.n_owned)
-        return Families(np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members[order])
+        return Families(starts_of(count), members[order])
 
     @property
     def lattice(self) -> LatticeStencils:

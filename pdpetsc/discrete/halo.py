@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import GlobalIndex, LocalIndex
+from pdpetsc.arrays import GlobalIndex, LocalIndex, starts_of
 from pdpetsc.discrete.communicator import Comm, exchange
 
 # Waits for an exchange that has been started (collective).
@@ -45,13 +45,13 @@ class Halo:
         (send_index,), asked = exchange(comm, ghost_owner, [ghost_index])
         self.send_index: LocalIndex = send_index
         self.targets = np.flatnonzero(asked)
-        self.target_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(asked[self.targets])])
+        self.target_ptr: GlobalIndex = starts_of(asked[self.targets])
         # Images of one particle arrive in ascending runs, one per place; no run contains a particle twice.
         again = np.flatnonzero(np.diff(self.send_index) <= 0) + 1
         self._runs = np.union1d(again, self.target_ptr)
         held = np.bincount(ghost_owner, minlength=comm.size)
         self.sources = np.flatnonzero(held)
-        self.source_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(held[self.sources])])
+        self.source_ptr: GlobalIndex = starts_of(held[self.sources])
 
     def forward(self, values: NDArray[Any]) -> None:
         """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with the rows of the owners (collective)."""
@@ -110,8 +110,8 @@ class Halo:
         -----
         Collective.
         """
-        starts = np.concatenate([[0], np.cumsum(lengths)])[self.source_ptr]
-        incoming_starts = np.concatenate([[0], np.cumsum(incoming_lengths)])
+        starts = starts_of(lengths)[self.source_ptr]
+        incoming_starts = starts_of(incoming_lengths)
         incoming = np.empty(int(incoming_starts[-1]), dtype=values.dtype)
         self._start(values, self.sources, starts, incoming, self.targets, incoming_starts[self.target_ptr])()
         return incoming

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries, starts_of
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.kernels.lattice_stencils import cells_with_any, families_of_cells, family_keys, onto_cells, order_keys
@@ -172,10 +172,10 @@ def listed_families(
     """
     indptr, neighbours = families_of_cells(particles, grid.cell, grid.at, grid.steps, cloud.order)
     if cut is not None:
-        number = np.repeat(np.arange(len(particles)), np.diff(indptr))
+        number = row_of_entries(indptr)
         kept = ~cut(np.stack([particles[number], neighbours], axis=1))
         number, neighbours = number[kept], neighbours[kept]
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(particles)))]).astype(np.int64)
+        indptr = starts_of(np.bincount(number, minlength=len(particles)))
     return indptr, neighbours
 
 

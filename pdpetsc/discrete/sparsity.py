@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries, starts_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, exchange, fetch, owners
 from pdpetsc.kernels.assembly import add_blocks_kernel
@@ -193,7 +193,7 @@ def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) ->
         own = (rows >= cloud.first) & (rows < cloud.first + n_own)
         return np.where(own, rows - cloud.first, n_own + np.searchsorted(other_columns, rows))
 
-    arriving_ptr = np.concatenate([[0], np.cumsum(arriving_blocks)])
+    arriving_ptr = starts_of(arriving_blocks)
     virtual_ptr = arriving_ptr[-1] + len(virtual) * np.arange(1, len(reached) + 1)
     merged_ptr, merged = merge_rows(
         row_ptr[: n_owned + 1], number(own_columns),
@@ -218,7 +218,7 @@ def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) ->
 
 def positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
     """Return the positions of the values of the diagonal block of each row (n_rows, dim, dim)."""
-    row = np.repeat(np.arange(len(rows.diag_ptr) - 1), np.diff(rows.diag_ptr))
+    row = row_of_entries(rows.diag_ptr)
     block = np.flatnonzero(rows.columns[rows.columns < n_own] == row)
     width = np.diff(rows.diag_ptr)
     start = dim * dim * rows.diag_ptr[:-1] + dim * (block - rows.diag_ptr[:-1])
@@ -235,7 +235,7 @@ def _one_of_each(cloud: Cloud) -> LocalIndex:
 def _locals(columns: GlobalIndex, n_columns: int) -> tuple[GlobalIndex, LocalIndex]:
     """Return the inverse of the map from local particles to columns."""
     counts = np.bincount(columns, minlength=n_columns)
-    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(columns, kind="stable").astype(np.int32)
+    return starts_of(counts), np.argsort(columns, kind="stable").astype(np.int32)
 
 
 def _bordering(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> GlobalIndex:
@@ -251,7 +251,7 @@ def _bordering(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Glo
 def sharing_stencil(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex, marked: Float) -> Mask:
     """Return the own particles in a stencil with a marked local particle (n_local,) (collective)."""
     n_points = len(point_ptr) - 1
-    point_of = np.repeat(np.arange(n_points), np.diff(point_ptr))
+    point_of = row_of_entries(point_ptr)
     touched = np.bincount(point_of, marked[members], n_points) > 0.0
     reached = np.bincount(members, touched[point_of].astype(float), cloud.n_local)
     cloud.halo.reverse(reached)
@@ -264,7 +264,7 @@ def _to_last(comm: Comm, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _split(first: int, row_ptr: GlobalIndex, columns: GlobalIndex, n_own: int) -> Rows:
-    own_before = np.concatenate([[0], np.cumsum(columns < n_own)])
+    own_before = starts_of(columns < n_own)
     diag_ptr = own_before[row_ptr]
     return Rows(first, diag_ptr, row_ptr - diag_ptr, columns)
 
@@ -281,7 +281,7 @@ def _arrivals(
     """Locate each arriving block in the sorted rows, by (row, column) keys that order both lists."""
     width = int(columns.max(initial=0)) + 1
     row = np.repeat(rows, row_blocks).astype(np.int64)
-    keys = np.repeat(np.arange(len(row_ptr) - 1, dtype=np.int64), np.diff(row_ptr)) * width + columns
+    keys = row_of_entries(row_ptr) * width + columns
     found = np.searchsorted(keys, row * width + arriving)
     in_diag = arriving < n_own
     n_diag = np.diff(owned.diag_ptr)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries, starts_of
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declare.surface import Facets
 from pdpetsc.discrete.cloud import Cloud, creators
@@ -170,7 +170,7 @@ class Surface:
     @cached_property
     def _facet_of(self) -> GlobalIndex:
         """Return the facet of every entry (n_entries,)."""
-        return np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
+        return row_of_entries(self.ptr)
 
     def select(self, cloud: Cloud, region: Region, what: str) -> Mask:
         """Return which facets have their centroid in a region; names are tags of facets, or sets of their particles.
@@ -388,7 +388,7 @@ def _interpolated(
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
     """Compute ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
     size = np.diff(families.indptr)[owner]
-    ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
+    ptr = starts_of(size + 1)
     of = np.repeat(np.arange(len(x)), size + 1)
     place = np.arange(ptr[-1]) - ptr[of]
     bond = np.minimum(families.indptr[owner][of] + place - 1, max(len(families.neighbours) - 1, 0))
@@ -415,7 +415,7 @@ class _Fit(NamedTuple):
 
 
 def _fit(cloud: Cloud, x: Float, area: Float, owner: GlobalIndex, ptr: GlobalIndex, members: LocalIndex) -> _Fit:
-    dim, of = cloud.dim, np.repeat(np.arange(len(x)), np.diff(ptr))
+    dim, of = cloud.dim, row_of_entries(ptr)
     apart = cloud.x[members] - x[of]
     # The unit of distance is that of the particle behind the facet, half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, starts_of
 from pdpetsc.declared import Positive
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
@@ -73,7 +73,7 @@ class BondAssociated(Scheme):
         for factor, following in zip(GROWTH, (*GROWTH[1:], None), strict=True):
             size = np.empty(len(centres), dtype=np.int64)
             bond_family_sizes_kernel(cloud.dim)(families.indptr, families.neighbours, cloud.x, radius, size)
-            point_ptr = np.concatenate([[0], np.cumsum(size)])
+            point_ptr = starts_of(size)
             bonds = np.empty(point_ptr[-1], dtype=np.int64)
             fill = bond_families_kernel(cloud.dim)
             fill(families.indptr, families.neighbours, cloud.x, radius, point_ptr, bonds)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of, row_of_entries
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import (
@@ -135,11 +135,11 @@ class BrokenLatticeGradient(ListedOnUse):
     def at(self, points: GlobalIndex) -> GradientOperator:
         """Return the operator of selected points (n,), ascending (not collective)."""
         bonds, first = entries_of(self.families.indptr, points)
-        number, neighbours = np.repeat(np.arange(len(points)), np.diff(first)), self.families.neighbours[bonds]
+        number, neighbours = row_of_entries(first), self.families.neighbours[bonds]
         step = self.steps.numbers(points[number].astype(np.int32), neighbours)
         entries, lost = entries_of(self.steps.ptr, points)
         n_steps = len(self.steps.steps)
-        lacking = np.repeat(np.arange(len(points)), np.diff(lost)) * n_steps + self.steps.lacking[entries]
+        lacking = row_of_entries(lost) * n_steps + self.steps.lacking[entries]
         weight = np.where(np.isin(number * n_steps + step, lacking), 0.0, self.steps.w[step])
         stencils = with_centres(points.astype(np.int32), first, neighbours, weight)
         g = stencil_weights(stencils, self.cloud.x, self.K_inverse[points])

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, entries_of, starts_of
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import (
     NO_SETS,
@@ -80,14 +80,14 @@ class Weights:
 
 def weights_of(points: Sequence[Sequence[tuple[GlobalIndex, Float]]], dim: int) -> Weights:
     """Return the weights of the points of each pattern, from steps (n,) and weights (n, dim) of their members."""
-    list_ptr = np.concatenate([[0], np.cumsum([len(lists) for lists in points])]).astype(np.int64)
+    list_ptr = starts_of([len(lists) for lists in points])
     flat = [one for lists in points for one in lists]
     found = [_paired(steps, g) for steps, g in flat]
     sizes = [len(plus) for plus, _, _ in found]
     centre = np.array([-g[minus == 0].sum(axis=0) for _, minus, g in found]).reshape(len(flat), dim)
     return Weights(
         list_ptr,
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        starts_of(sizes),
         np.concatenate([plus for plus, _, _ in found]),
         np.concatenate([minus for _, minus, _ in found]),
         np.concatenate([g for _, _, g in found]),
@@ -135,7 +135,7 @@ class LatticeGradient(ListedOnUse):
     @cached_property
     def points_of(self) -> GlobalIndex:
         """Return the start of the points of every own particle (n_owned + 1,)."""
-        return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.lattice.shared)))])
+        return starts_of(np.bincount(self.owner, minlength=len(self.lattice.shared)))
 
     @cached_property
     def alone(self) -> GlobalIndex:

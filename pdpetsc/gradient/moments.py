@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, row_of_entries
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest
 
@@ -61,7 +61,7 @@ def blocks(
         first = np.zeros(len(part) + 1, dtype=np.int64)
         np.cumsum(size[start:stop], out=first[1:])
         bonds = np.arange(first[-1]) + np.repeat(indptr[part] - first[:-1], size[start:stop])
-        owner = np.repeat(np.arange(len(part)), np.diff(first))
+        owner = row_of_entries(first)
         yield part, np.asarray(bonds, dtype=np.int64), first[:-1], owner
         start = stop
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries, starts_of
 from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid
 from pdpetsc.discrete.communicator import exchange, largest, owners, total
 from pdpetsc.discrete.families import Families
@@ -117,7 +117,7 @@ class OfNearest(NearInverse):
             reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
             near = families.lengths(cloud.x) <= NEAR * reach[families.centres]
             counts = np.bincount(families.centres[near], minlength=n)
-            ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
+            ptr = starts_of(counts + 1)
             members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
             found = self._of_points(np.arange(n), ptr, members, cloud.volume[:n])
         rows, columns = cloud.row[found.row], cloud.row[found.col]
@@ -144,7 +144,7 @@ class OfNearest(NearInverse):
         low, axes = np.linalg.eigh(M)
         keep = low > 1e-12 * low[:, -1:]
         root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
-        of = np.repeat(np.arange(points), np.diff(ptr))
+        of = row_of_entries(ptr)
         xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.local_horizon[owner[of], None]
         phi = np.concatenate([np.ones((len(of), 1)), xi], axis=1)
         D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, starts_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import (
@@ -92,6 +92,6 @@ def _listed(
     bond, taken = np.nonzero(share)
     point = number[centres[bond], taken]
     order = np.argsort(point, kind="stable")
-    point_ptr = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(owner)))])
+    point_ptr = starts_of(np.bincount(point, minlength=len(owner)))
     members = neighbours[bond[order]]
     return owner.astype(np.int32), point_ptr, members, weight[bond[order]] * share[bond[order], taken[order]]

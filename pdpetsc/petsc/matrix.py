@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import GlobalIndex, Mask
+from pdpetsc.arrays import GlobalIndex, Mask, row_of_entries
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.components import rigid_modes
 from pdpetsc.discrete.sparsity import Sparsity, positions_of_own_blocks
@@ -179,7 +179,7 @@ def _global_columns(sparsity: Sparsity) -> GlobalIndex:
 def _constrained(ptr: GlobalIndex, columns: GlobalIndex, fixed_rows: Mask, fixed_columns: Mask) -> GlobalIndex:
     """Return the positions of values in rows or columns of prescribed degrees of freedom."""
     dim = fixed_rows.shape[1]
-    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+    row = row_of_entries(ptr)
     touched = fixed_rows.any(axis=1)[row] | fixed_columns.any(axis=1)[columns]
     block = np.flatnonzero(touched)
     row, column = row[block], columns[block]

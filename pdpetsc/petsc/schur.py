@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask, row_of_entries
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.gradient.products import ConstraintProduct
 from pdpetsc.kernels.near import reach_kernel
@@ -73,7 +73,7 @@ class SchurComplement:
         if len(cloud.sign):
             images = constraints.members >= n
             turned[images] *= cloud.sign[constraints.members[images] - n]
-        of = np.repeat(np.arange(len(compliance)), np.diff(constraints.ptr))
+        of = row_of_entries(constraints.ptr)
         values = turned * inverse[constraints.members]
         roots = turned * np.sqrt(inverse[constraints.members])
         where = of, columns[constraints.members]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, Mask, row_of_entries
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.near_inverse import Entries
@@ -122,7 +122,7 @@ class TwoLevel(Preconditioning):
         assert self._interface is not None
         sizes = self.coarse.getSizes()[0]
         ptr, columns = self._rows
-        rows = self._grid.first * self._problem.dim + np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+        rows = self._grid.first * self._problem.dim + row_of_entries(ptr)
         parts = zip(Entries(rows, columns.astype(np.int64), values), self._interface.on_nodes, strict=True)
         coarse = assembled(self.coarse.comm.tompi4py(), sizes, Entries(*(np.concatenate(part) for part in parts)), 0.0)
         coarse.setBlockSize(self._problem.dim)

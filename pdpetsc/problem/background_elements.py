@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, starts_of
 from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid, Cells
 from pdpetsc.discrete.communicator import exchange, owners, total
 from pdpetsc.discrete.families import with_pairs
@@ -195,7 +195,7 @@ class BackgroundElements(BackgroundGrid, Filler):
         self._position, self._own_diagonal = np.split(position.reshape(-1), [len(keys)])
         self._columns: GlobalIndex = found % self.n_global
         counts = np.bincount(found // self.n_global, minlength=self.n_own)
-        self._block_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        self._block_ptr: GlobalIndex = starts_of(counts)
 
     def _complete(self, values: Float) -> Float:
         """Sum the values of the own rows over all ranks (collective)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import GlobalIndex, LocalIndex, Lookup
+from pdpetsc.arrays import GlobalIndex, LocalIndex, Lookup, starts_of
 from pdpetsc.declared import called, shown
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
@@ -60,7 +60,7 @@ def lie_in_families(body: Body, point_ptr: GlobalIndex, members: LocalIndex) -> 
     own = np.arange(cloud.n_owned, dtype=np.int64)
     bonds = Lookup(np.concatenate([families.centres.astype(np.int64) * n + families.neighbours, own * n + own]))
     sizes = np.diff(point_ptr).astype(np.int64)
-    pairs = np.concatenate([[0], np.cumsum(sizes**2)])
+    pairs = starts_of(sizes**2)
     first = 0
     while first < len(sizes):
         last = max(int(np.searchsorted(pairs, pairs[first] + BLOCK, side="right")) - 1, first + 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import owners
 from pdpetsc.discrete.halo import Halo
@@ -78,7 +78,7 @@ class Ties:
         rows, self._place = np.unique(self.all.row, return_inverse=True)
         owner, there = owners(cloud.comm, cloud.first, rows)
         self._halo = Halo(cloud.comm, cloud.n_owned, owner.astype(np.int32), there.astype(np.int32))
-        self._sum_of = np.repeat(np.arange(len(self.all.axis)), np.diff(self.all.ptr))
+        self._sum_of = row_of_entries(self.all.ptr)
         self.tied: Mask = np.zeros((cloud.n_rows, cloud.dim), dtype=bool)
         self.tied[self.all.particle, self.all.axis] = True
         self.independent: Mask = np.zeros_like(self.tied)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of, starts_of
 from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.discrete.communicator import all_largest, largest, smallest, total
 from pdpetsc.errors import CaseError, SolveError
@@ -128,7 +128,7 @@ class BodyContactForces(FacetContact):
             keys.append(particle * n + side.members[entry])
         particle, members = np.divmod(np.unique(np.concatenate(keys)), n)
         _, count = np.unique(particle, return_counts=True)
-        return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members.astype(np.int32)
+        return starts_of(count), members.astype(np.int32)
 
     # Pairs are of particles without a common family.
     within_families = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of, row_of_entries
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import StencilMembers
 
@@ -39,7 +39,7 @@ class ChosenFacets:
         self.x, self.area = surface.x[at], surface.area[at]
         self.entry, ptr = entries_of(surface.ptr, at)
         self.stencils = StencilMembers(surface.owner[at].astype(np.int32), ptr, surface.members[self.entry])
-        self.N, self.of = surface.N[self.entry], np.repeat(np.arange(len(at)), np.diff(ptr))
+        self.N, self.of = surface.N[self.entry], row_of_entries(ptr)
 
     def sums(self, values: Float) -> Float:
         """Return the sums over the entries of each facet (n_facets, dim) of values (n_entries, dim)."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, Mask, starts_of
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.bodies import Bodies
 from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
@@ -266,7 +266,7 @@ class Applied:
         if int(total(cloud.comm, np.count_nonzero(inclined))) == 0:
             return
         tied, (row, other) = np.flatnonzero(inclined), np.nonzero(ratio[inclined])
-        ptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(tied)))]).astype(np.int64)
+        ptr = starts_of(np.bincount(row, minlength=len(tied)))
         combination = Combination(
             own[tied], axis[tied], ptr, cloud.row[own[tied]][row], other.astype(np.int32), ratio[inclined][row, other]
         )

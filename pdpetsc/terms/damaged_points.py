@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, LocalIndex, Mask, row_of_entries
 from pdpetsc.damage.criterion import Gradient
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, FlatFamilies
@@ -234,7 +234,7 @@ class DamagedPoints(MaterialPoints):
         softening = np.zeros(n + 1, dtype=bool)
         softening[gradient.bonds] = True
         entries = np.flatnonzero(softening[self.bond_of_entry])
-        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
+        point_of = row_of_entries(operator.point_ptr)[entries]
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         return np.asarray(sum_by(self.bond_of_entry[entries], force, n))
 
@@ -262,7 +262,7 @@ class DamagedPoints(MaterialPoints):
         tension = np.maximum(np.sqrt(np.maximum(squares, 0.0)) - 1.0, 0.0)
         positive = np.einsum("pij,pj,pkj->pik", axes, tension, axes)
         part = operator.at(points)
-        bonds, of = self._bonds_of(part), np.repeat(np.arange(len(points)), np.diff(part.point_ptr))
+        bonds, of = self._bonds_of(part), row_of_entries(part.point_ptr)
         served = (bonds >= 0) & part.g.any(axis=1)
         bonds, of = bonds[served], of[served]
         xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]
@@ -349,7 +349,7 @@ class DamagedPoints(MaterialPoints):
         hurt[self.body.families.centres[~self.damage.bonds.intact]] = True
         operator, whole = operator.listed, self._whole.listed
         g = operator.g.copy()
-        of, before = operator.owner[_points(operator)], whole.owner[_points(whole)]
+        of, before = (one.owner[row_of_entries(one.point_ptr)] for one in (operator, whole))
         g[~hurt[of]] = whole.g[~hurt[before]]
         return replace(operator, g=g)
 
@@ -374,8 +374,3 @@ class DamagedPoints(MaterialPoints):
             share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
-
-
-def _points(operator: GradientOperator) -> GlobalIndex:
-    """Return the point of every entry (n_entries,)."""
-    return np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))

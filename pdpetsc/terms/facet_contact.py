@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of, row_of_entries
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
@@ -67,7 +67,7 @@ class ContactProduct(FacetSprings):
     """
 
     def __init__(self, facets: StencilMembers, n_owned: int, N: Float, blocks: Float) -> None:
-        of = np.repeat(np.arange(len(blocks)), np.diff(facets.point_ptr))
+        of = row_of_entries(facets.point_ptr)
         h = N[:, None, None] * blocks.transpose(0, 2, 1)[of]
         super().__init__(facets, n_owned, h, N[:, None, None] * np.eye(blocks.shape[1]))
 
@@ -104,12 +104,12 @@ class Points(NamedTuple):
     def moved(self, u: Float) -> Float:
         """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
         at = self.weights[:, None] * u[self.stencils.members]
-        of = np.repeat(np.arange(len(self.area)), np.diff(self.stencils.point_ptr))
+        of = row_of_entries(self.stencils.point_ptr)
         return np.stack([np.bincount(of, along, len(self.area)) for along in at.T], axis=1)
 
     def spread(self, force: Float, f: Float) -> None:
         """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
-        of = np.repeat(np.arange(len(self.area)), np.diff(self.stencils.point_ptr))
+        of = row_of_entries(self.stencils.point_ptr)
         np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
 
     def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of, row_of_entries, starts_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, exchange, largest, total
 from pdpetsc.discrete.surface import Surface
@@ -119,7 +119,7 @@ class Side:
         ``u`` (n_local, dim) are those of local particles.
         """
         n, dim = self.x.shape
-        of, at = np.repeat(np.arange(n), np.diff(self.ptr)), u[self.members]
+        of, at = row_of_entries(self.ptr), u[self.members]
         moved = np.stack([np.bincount(of, self.N * along, n) for along in at.T], axis=1)
         gradient = np.empty((n, dim, dim))
         for i in range(dim):
@@ -138,7 +138,7 @@ class Side:
         """Return the particles that points (n, dim), relative to the centroids, on facets ``rows`` (n,) move with."""
         dim = self.x.shape[1]
         entry, ptr = entries_of(self.ptr, rows)
-        of = np.repeat(np.arange(len(rows)), np.diff(ptr))
+        of = row_of_entries(ptr)
         N, G = self.N[entry], self.G[entry]
         offsets = self.offsets[rows][:, : _CORNERS[dim], :dim]
         corners = N[:, None] + np.einsum("ej,ecj->ec", G, offsets[of])
@@ -351,7 +351,7 @@ def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
     )
     (orders, N, G), _ = exchange(comm, np.repeat(rank, of_facets[-1]), of_entries)
     (x, corners, key, both, size), _ = exchange(comm, rank, of_facets)
-    ptr = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    ptr = starts_of(size)
     local = Lookup(cloud.order).of(orders)
     unknown = np.add.reduceat(local < 0, ptr[:-1]) if len(size) else np.empty(0, dtype=np.int64)
     # Facets in a corner of the box are further than the reach from all own ones, and their particles are not here.

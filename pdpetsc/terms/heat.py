@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, LocalIndex, Mask
+from pdpetsc.arrays import Float, LocalIndex, Mask, row_of_entries
 from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError, case_errors
@@ -231,7 +231,7 @@ class Heat(Term):
             sums = sum_by(families.centres, flow[:, None] * families.bonds(cloud.x), cloud.n_owned)
             return np.asarray(-sums / cloud.volume[: cloud.n_owned, None])
         operator = self._operator()
-        of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        of = row_of_entries(operator.point_ptr)
         gradient = sum_by(of, local[operator.members, None] * operator.g, operator.n_points)
         q = -np.einsum("pab,pb->pa", self._conductivity(operator), gradient)
         return operator.mean_over_points(q, cloud.n_owned)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.families import Families
@@ -142,7 +142,7 @@ class PatchPoints(MaterialPoints):
         patch_owner = owner[order].astype(np.int32)
         self._n_patches = len(order)
         self.weight = operator.volume / self._sum(operator.volume)[self.patch_of_point]
-        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        point_of = row_of_entries(operator.point_ptr)
         pairs = self.patch_of_point[point_of] * cloud.n_local + operator.members
         kept, self._slot = np.unique(pairs, return_inverse=True)
         patch, member = np.divmod(kept, max(cloud.n_local, 1))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Lookup
+from pdpetsc.arrays import Float, GlobalIndex, Lookup, row_of_entries
 from pdpetsc.damage.criterion import EndpointMean, Gradient, NonlocalPart
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Product, SofteningProduct
@@ -84,7 +84,7 @@ def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: 
     np.subtract.at(g, whole.point_ptr[:-1][centres[bonds]], own)
     if gradient.nonlocal_part is not None:
         count = np.diff(gradient.nonlocal_part.ptr)
-        key = np.repeat(np.arange(n_owned), np.diff(whole.point_ptr)) * body.cloud.n_local + whole.members
+        key = row_of_entries(whole.point_ptr) * body.cloud.n_local + whole.members
         centre = np.repeat(centres[bonds].astype(np.int64), count)
         at = Lookup(key).of(centre * body.cloud.n_local + gradient.nonlocal_part.particles)
         np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.nonlocal_part.by)

@@ -17,6 +17,7 @@ from pdpetsc.discrete.cloud import Cloud, creators
 from pdpetsc.discrete.communicator import agreed, fetch, smallest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
+from pdpetsc.kernels.sparsity import sum_by
 
 # Tolerance of a closed surface, as a share of its area, and of its enclosed volume, as a share of the volume.
 CLOSED = 1e-8
@@ -75,8 +76,7 @@ class Surface:
 
     def spread(self, values: Float, onto: Float) -> None:
         """Add ``sum_f N_f(x_k) v_f`` to ``onto`` (n_local, dim) for ``values`` (n_facets, dim) (not collective)."""
-        for axis in range(onto.shape[1]):
-            onto[:, axis] += np.bincount(self.members, self.N * values[self._facet_of, axis], len(onto))
+        onto += sum_by(self.members, self.N[:, None] * values[self._facet_of], len(onto))
 
     def interpolated(self, values: Float) -> Float:
         """Compute ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
@@ -117,11 +117,7 @@ class Surface:
         members = np.concatenate([np.arange(n), families.neighbours])
         phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / cloud.horizon], axis=1)
         taken = inner[members]
-        moments, sums = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1))
-        for a in range(dim + 1):
-            sums[:, a] = np.bincount(of, taken * phi[:, a] * value[members], n)
-            for b in range(dim + 1):
-                moments[:, a, b] = np.bincount(of, taken * phi[:, a] * phi[:, b], n)
+        moments, sums = _moments(phi, taken, of, n), sum_by(of, taken[:, None] * phi * value[members, None], n)
         least = np.linalg.eigvalsh(moments / np.maximum(moments[:, :1, :1], 1.0))[:, 0]
         good = (least > EXTENT) & (inner[:n] > 0.0)
         fitted = np.zeros((n, dim + 2))
@@ -440,6 +436,7 @@ def _fit(cloud: Cloud, x: Float, area: Float, owner: GlobalIndex, ptr: GlobalInd
 
 
 def _moments(phi: Float, weight: Float, of: GlobalIndex, count: int) -> Float:
+    """Return ``sum_e weight_e phi_e (x) phi_e`` over the entries of each of ``count`` facets or families."""
     size = phi.shape[1]
     moments = np.empty((count, size, size))
     for a in range(size):
@@ -467,11 +464,7 @@ def _extent(
 
     The second array is (n, dim), 0 for axes without extent.
     """
-    dim, n = cloud.dim, len(ptr) - 1
+    n = len(ptr) - 1
     around = (cloud.x[members] - cloud.x[members[ptr[:-1]][of]]) / unit
-    second = np.zeros((n, dim, dim))
-    for a in range(dim):
-        for b in range(dim):
-            second[:, a, b] = np.bincount(of, taken * around[:, a] * around[:, b], n)
-    size, axes = np.linalg.eigh(second)
+    size, axes = np.linalg.eigh(_moments(around, taken, of, n))
     return axes, np.where(size > FLAT * np.maximum(size[:, -1:], np.finfo(float).tiny), 1.0, 0.0)

@@ -19,7 +19,7 @@ from pdpetsc.errors import FlatFamilies
 from pdpetsc.gradient.shared_steps import SAME, shared_steps
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, inverses, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
-from pdpetsc.kernels.sparsity import transpose
+from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel, same_gradient_kernel
 
 # A family is flat if the smallest eigenvalue of its shape tensor is below this share of the mean eigenvalue.
@@ -194,9 +194,8 @@ class GradientOperator(StencilMembers):
     def mean_over_points(self, values: Float, n_owned: int) -> Float:
         """Return the mean over the points of each particle, (n_owned, ...)."""
         count = np.bincount(self.owner, minlength=n_owned)
-        flat = values.reshape(len(values), -1)
-        sums = np.array([np.bincount(self.owner, column, n_owned) for column in flat.T]).T
-        return np.asarray((sums / np.maximum(count, 1)[:, None]).reshape(n_owned, *values.shape[1:]))
+        each = np.maximum(count, 1).reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray(sum_by(self.owner, values, n_owned) / each)
 
 
 class ListedOnUse(GradientOperator):

@@ -7,6 +7,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of, row_of_entries
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.kernels.sparsity import sum_by
 
 
 class ChosenFacets:
@@ -42,8 +43,8 @@ class ChosenFacets:
         self.N, self.of = surface.N[self.entry], row_of_entries(ptr)
 
     def sums(self, values: Float) -> Float:
-        """Return the sums over the entries of each facet (n_facets, dim) of values (n_entries, dim)."""
-        return np.stack([np.bincount(self.of, along, len(self.x)) for along in values.T], axis=1)
+        """Return the sums over the entries of each facet (n_facets, ...) of values (n_entries, ...)."""
+        return np.asarray(sum_by(self.of, values, len(self.x)))
 
     def spread(self, force: Float, f: Float) -> None:
         """Subtract forces on the facets (n_facets, dim) from a residual of local particles (n_local, dim)."""

@@ -12,6 +12,7 @@ from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Patches, Scheme, StencilMembers
 from pdpetsc.gradient.products import Product
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -169,8 +170,7 @@ class DegradedPatchPoints(DegradedPoints):
             parts.append((families, m / np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]))
         for of, values in parts:
             place = places_of(of, order, stencils, self.body.cloud.n_local)
-            for i in range(self.body.dim):
-                v[:, i] += np.bincount(place, values[:, i], len(v))
+            v += sum_by(place, values, len(v))
         return stencils, v
 
 

@@ -20,6 +20,7 @@ from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, Stenci
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.kernels.gradient import residual_kernel
 from pdpetsc.kernels.principal_rows import symmetric_axes
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.material.closed_sliding import SlidingPart
 from pdpetsc.material.point_laws import PointLaws
@@ -541,11 +542,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         stencils, v = self._drive_gradient(state, active)
         # The operator lists its points in ascending order.
         order = np.argsort(active)
-        some, forces = self.operator.at(active[order]), np.zeros_like(v)
+        some = self.operator.at(active[order])
         each = np.einsum("eij,ej->ei", np.repeat(stress[active[order]], np.diff(some.point_ptr), axis=0), some.g)
-        place = places_of(some, order, stencils, self.body.cloud.n_local)
-        for i in range(self.body.dim):
-            forces[:, i] = np.bincount(place, each[:, i], len(v))
+        forces = sum_by(places_of(some, order, stencils, self.body.cloud.n_local), each, len(v))
         return SofteningProduct(stencils, self.body.cloud.n_owned, forces, v, b)
 
     def _failing_by_drive(self, state: State) -> tuple[GlobalIndex, Float]:
@@ -581,9 +580,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         families = self._control.families_at(some.owner)
         whole = self._control.forces_at(state.u_local, some.owner)
         whole /= np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]
-        place = places_of(some, np.arange(len(points)), families, self.body.cloud.n_local)
-        for i in range(self.body.dim):
-            whole[:, i] += np.bincount(place, v[:, i], len(whole))
+        whole += sum_by(places_of(some, np.arange(len(points)), families, self.body.cloud.n_local), v, len(whole))
         return families, whole
 
     def share(self, state: State) -> Float:

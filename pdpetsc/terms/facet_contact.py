@@ -13,6 +13,7 @@ from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import FacetSprings
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -104,8 +105,7 @@ class Points(NamedTuple):
     def moved(self, u: Float) -> Float:
         """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
         at = self.weights[:, None] * u[self.stencils.members]
-        of = row_of_entries(self.stencils.point_ptr)
-        return np.stack([np.bincount(of, along, len(self.area)) for along in at.T], axis=1)
+        return np.asarray(sum_by(row_of_entries(self.stencils.point_ptr), at, len(self.area)))
 
     def spread(self, force: Float, f: Float) -> None:
         """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""

@@ -25,6 +25,7 @@ from pdpetsc.kernels.overlap import (
     overlap_by_corners,
     rates_of_members,
 )
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.problem.body import Body
 
 # Facets face each other if the cosine of the angle between one normal and minus the other exceeds this.
@@ -118,14 +119,8 @@ class Side:
 
         ``u`` (n_local, dim) are those of local particles.
         """
-        n, dim = self.x.shape
-        of, at = row_of_entries(self.ptr), u[self.members]
-        moved = np.stack([np.bincount(of, self.N * along, n) for along in at.T], axis=1)
-        gradient = np.empty((n, dim, dim))
-        for i in range(dim):
-            for k in range(dim):
-                gradient[:, i, k] = np.bincount(of, at[:, i] * self.G[:, k], n)
-        return moved.astype(float), gradient
+        n, of, at = len(self.x), row_of_entries(self.ptr), u[self.members]
+        return sum_by(of, self.N[:, None] * at, n), sum_by(of, at[:, :, None] * self.G[:, None, :], n)
 
     def deformed(self, u: Float) -> Float:
         """Compute the deformed corners (n, 4, 3) [length]."""

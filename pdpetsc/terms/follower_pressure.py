@@ -63,8 +63,7 @@ class PressureOnDeformed(FollowingLoad):
 
         def make() -> Float:
             at = u[self._facets.stencils.members]
-            columns = [self._facets.sums(at * along[:, None]) for along in self._G.T]
-            return np.stack(columns, axis=2) + np.eye(self.body.dim)
+            return self._facets.sums(at[:, :, None] * self._G[:, None, :]) + np.eye(self.body.dim)
 
         return state.kept((self, "gradients"), make)
 

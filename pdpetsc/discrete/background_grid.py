@@ -9,7 +9,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import ask, offset, total
+from pdpetsc.discrete.communicator import anywhere, ask, offset, total
 from pdpetsc.discrete.components import rigid_at
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.background import interpolate_kernel, join_corners, join_within_cells, restrict_kernel
@@ -229,7 +229,7 @@ class BackgroundGrid:
             cloud.halo.forward(new)
             changed = np.any(new != label)
             label = new
-            if int(total(cloud.comm, int(changed))) == 0:
+            if not anywhere(cloud.comm, changed):
                 break
         here = np.flatnonzero(~mirrored)
         self._labels, first, number = np.unique(label[here], return_index=True, return_inverse=True)

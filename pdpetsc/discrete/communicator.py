@@ -94,6 +94,16 @@ def total(comm: Comm, values: Any) -> NDArray[Any]:
     return _reduced(comm, values, MPI.SUM)
 
 
+def anywhere(comm: Comm, marked: Any) -> bool:
+    """Return True if an entry of an array, or a flag, is not zero on any rank (collective)."""
+    return int(total(comm, int(np.any(marked)))) > 0
+
+
+def count_nonzero(comm: Comm, values: Any) -> int:
+    """Return the number of entries of an array that are not zero, on all ranks (collective)."""
+    return int(total(comm, np.count_nonzero(values)))
+
+
 def largest(comm: Comm, value: float) -> float:
     """Return the maximum over ranks of a number (collective)."""
     return float(_reduced(comm, float(value), MPI.MAX))

@@ -9,7 +9,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
@@ -47,7 +47,7 @@ def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = No
         cloud.halo.forward(new)
         changed = np.any(new != label)
         label = new
-        if int(total(cloud.comm, int(changed))) == 0:
+        if not anywhere(cloud.comm, changed):
             return np.asarray(label[: cloud.n_owned])
 
 

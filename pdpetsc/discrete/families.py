@@ -12,7 +12,7 @@ import scipy
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, starts_of
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, anywhere, total
 from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.discrete.lattice_stencils import Grid, LatticeStencils, find_grid, find_lattice, listed_families
 from pdpetsc.errors import CaseError
@@ -254,7 +254,7 @@ def find_families(
             cutting.refuse_idle()
             return LatticeFamilies(lattice)
     grid = None if cloud.varies else find_grid(cloud)
-    if int(total(cloud.comm, int(grid is None))) == 0:
+    if not anywhere(cloud.comm, grid is None):
         assert grid is not None
         with agreed(cloud.comm):
             own = np.arange(cloud.n_owned, dtype=np.int32)

@@ -8,7 +8,7 @@ from pdpetsc.arrays import Mask
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declared import called
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, smallest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, smallest
 from pdpetsc.errors import CaseError
 
 
@@ -35,7 +35,7 @@ def select(cloud: Cloud, region: Region, name: str) -> Mask:
         least = iter([smallest(comm, number) for number in numbers])
         with agreed(comm):
             mask = _mask(region, View(x, sets, lambda _: next(least)), name)
-    if int(total(cloud.comm, np.count_nonzero(mask))) == 0:
+    if not anywhere(cloud.comm, mask):
         raise CaseError(f"The region of {name} selects no particle: {region}.")
     return mask
 

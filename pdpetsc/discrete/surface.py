@@ -14,7 +14,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries,
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declare.surface import Facets
 from pdpetsc.discrete.cloud import Cloud, creators
-from pdpetsc.discrete.communicator import agreed, fetch, smallest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, fetch, smallest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import sum_by
@@ -184,7 +184,7 @@ class Surface:
         view = View(self.x, sets, minimum=lambda value: smallest(cloud.comm, value), normal=self.area)
         with agreed(cloud.comm):
             mask = np.asarray(region.mask(view))
-        if int(total(cloud.comm, np.count_nonzero(mask))) == 0:
+        if not anywhere(cloud.comm, mask):
             raise CaseError(
                 f"The region of {what} holds no facet of the surface: let it hold the face itself, not only the "
                 f"centres of the particles behind it."
@@ -217,7 +217,7 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     flags = np.array([tags.get(name, empty) for name in names], dtype=float).reshape(len(names), len(x)).T
     parts = [x, area, flags]
     cornered = created.corners is not None or len(x) == 0
-    if int(total(comm, int(not cornered))) == 0 and dim == 3:
+    if not anywhere(comm, not cornered) and dim == 3:
         parts.append(np.asarray(created.corners, dtype=float).reshape(len(x), 12) if len(x) else np.empty((0, 12)))
     packed = np.concatenate(parts, axis=1)[order]
     counts = np.bincount(particle, minlength=cloud.n_created).astype(np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import is_root, total
+from pdpetsc.discrete.communicator import anywhere, is_root
 from pdpetsc.output.observer import Observed, Observer
 from pdpetsc.output.records import Table, rows_of
 from pdpetsc.post.solution import Solution
@@ -64,7 +64,7 @@ class BrokenBonds(Observer):
         """Append the broken bonds that are not yet listed: ids of both ends, length and midpoint."""
         bonds, comm = self._bonds, self.observed.comm
         new = np.flatnonzero((bonds.phi == 0.0) & ~self._listed)
-        if int(total(comm, len(new))) == 0:
+        if not anywhere(comm, len(new)):
             return
         self._listed[new] = True
         rows = np.column_stack([bonds.of.keys(new), bonds.of.lengths_of(new), bonds.of.middle(new)])

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, exchange, fetch, is_root, total
+from pdpetsc.discrete.communicator import Comm, anywhere, exchange, fetch, is_root
 from pdpetsc.errors import OutputError
 
 # Disk space that stays free for the small files at the end of a run [bytes].
@@ -277,7 +277,7 @@ def on_several_nodes(comm: Comm) -> bool:
     here = comm.Split_type(MPI.COMM_TYPE_SHARED)
     alone = here.size == comm.size
     here.Free()
-    return int(total(comm, int(not alone))) > 0
+    return anywhere(comm, not alone)
 
 
 def rank_by_rank(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:

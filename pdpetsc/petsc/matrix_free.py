@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import anywhere, largest
 from pdpetsc.petsc.matrix import TangentMatrix
 from pdpetsc.petsc.properties import set_symmetry
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
@@ -130,7 +130,7 @@ class MatrixFreeTangent(PetscTangent):
         if not self._made_from.bounded:
             return False
         comm = self._problem.body.cloud.comm
-        if self._problem.stiff and int(total(comm, int(tangent.n_stiff != self._n_stiff))) > 0:
+        if self._problem.stiff and anywhere(comm, tangent.n_stiff != self._n_stiff):
             return True
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
         return largest(comm, ratio) > STIFFER

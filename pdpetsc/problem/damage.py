@@ -15,7 +15,7 @@ from pdpetsc.damage.laws import BondDamage, Marking
 from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.region import Region
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, anywhere
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
@@ -292,8 +292,7 @@ class Damage(DamageModel):
         """Undo the damage since the last ``keep``; return True if bonds have mended."""
         intact = self.bonds.intact
         self.bonds.revert()
-        mended = int(np.any(intact != self.bonds.intact))
-        return int(total(self.body.cloud.comm, mended)) > 0
+        return anywhere(self.body.cloud.comm, intact != self.bonds.intact)
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
         """Break bonds beyond their final drive, about ``most`` at once, largest first; return the number of pairs."""

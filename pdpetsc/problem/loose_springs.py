@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere
 from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.material_term import MaterialTerm
@@ -51,10 +51,10 @@ class LooseSprings(Term):
         """Hold the particles that have lost bonds at their positions at unknowns ``u`` (n_rows, dim) (collective)."""
         held = self._material_term.local_damage() > 0.0
         self._anchor = u
-        if int(total(self._body.cloud.comm, int(np.any(held != self._held)))):
+        if anywhere(self._body.cloud.comm, held != self._held):
             self.version += 1
         self._held = held
-        self.active = int(total(self._body.cloud.comm, np.count_nonzero(held))) > 0
+        self.active = anywhere(self._body.cloud.comm, held)
 
     def move(self, u: Float) -> None:
         """Move the springs so that they have no force at ``u`` (not collective)."""

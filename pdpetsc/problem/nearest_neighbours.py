@@ -6,7 +6,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.control.non_uniform import NonUniform
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import GradientOperator, Moduli, flat, shape_tensors, stencil_weights, whole_families
 from pdpetsc.gradient.products import Entries, PointBlocks, PointProduct, Product
@@ -102,7 +102,7 @@ def near_families(problem: Problem) -> Families:
         near = _within(problem, kept, reach)
         thin = flat(shape_tensors(near, cloud.volume[near.neighbours], cloud.x), THIN)
         thin &= np.diff(near.indptr) < whole
-        if int(total(cloud.comm, np.count_nonzero(thin))) == 0:
+        if not anywhere(cloud.comm, thin):
             break
         reach[: cloud.n_owned][thin] *= WIDER
     return near

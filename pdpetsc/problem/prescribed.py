@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import anywhere, largest
 from pdpetsc.errors import SolveError
 
 # Prescribed values are equal if they differ by less than this share of the largest prescribed value.
@@ -44,7 +44,7 @@ class Prescribed:
         for number, (_, other, earlier) in enumerate(self._given):
             if other == what:
                 _, here, there = np.intersect1d(own, earlier, assume_unique=True, return_indices=True)
-                if int(total(self._cloud.comm, len(here))):
+                if anywhere(self._cloud.comm, len(here)):
                     self._shared.append((len(self._given), number, here, there))
         self._given.append((name, what, own))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.clock import Clock
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import anywhere, largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.gradient.products import ConstraintProduct, Entries, Loop, Product
 from pdpetsc.problem.body import Body
@@ -237,7 +237,7 @@ class Problem:
     def admissible(self, state: State) -> bool:
         """Return True if the forces are defined at a state on every rank."""
         here = [term.admissible(state) for term in self.terms]
-        return int(total(self.body.cloud.comm, int(not all(here)))) == 0
+        return not anywhere(self.body.cloud.comm, not all(here))
 
     def internal_force(self, state: State, of_solver: bool = True) -> Float | None:
         """Return the forces of all terms except loads (n_rows, dim) [force]; None on all ranks if they are undefined.
@@ -248,7 +248,7 @@ class Problem:
         # Exchange ghosts here, since a term might request them on one rank only.
         _ = state.u_local
         here = [term.admissible(state) for term in terms]
-        if int(total(self.body.cloud.comm, int(not all(here)))):
+        if anywhere(self.body.cloud.comm, not all(here)):
             return None
         return self.force_of(terms, state)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, count_nonzero, total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import first_moments
 from pdpetsc.problem.body import Body
@@ -129,7 +129,7 @@ class Supports:
         self.__dict__.pop("ties", None)
         ties = self.ties
         assert ties is not None
-        chained = int(total(cloud.comm, np.count_nonzero(ties.tied & ties.independent)))
+        chained = count_nonzero(cloud.comm, ties.tied & ties.independent)
         if chained:
             raise CaseError(f"{name} leaves {chained} tied displacements on which other tied ones depend.")
 
@@ -249,7 +249,7 @@ class Supports:
         cut = self.fixed[:n] & one_sided
         for axis in np.flatnonzero(cut.any(axis=0)):
             cut[:, axis] &= families.with_any(free[:, axis].copy())
-        return int(total(cloud.comm, np.count_nonzero(cut.any(axis=1))))
+        return count_nonzero(cloud.comm, cut.any(axis=1))
 
 
 def _one_sided(indptr: GlobalIndex, neighbours: LocalIndex, x: Float, volume: Float) -> Mask:

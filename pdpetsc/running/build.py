@@ -29,7 +29,18 @@ from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
-from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, smallest, total
+from pdpetsc.discrete.communicator import (
+    Comm,
+    agreed,
+    alone,
+    anywhere,
+    count_nonzero,
+    is_root,
+    largest,
+    offset,
+    smallest,
+    total,
+)
 from pdpetsc.discrete.crack_images import images_of_case
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, positions_on_lattice
@@ -97,7 +108,7 @@ def make_chunk(comm: Comm, case: Case) -> Chunk:
     with agreed(comm):
         chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
-    if int(total(comm, len(chunk.x))) == 0:
+    if not anywhere(comm, len(chunk.x)):
         raise CaseError("The case has no particles. Check `cut` and `keep`, or the file of the particles.")
     return chunk
 
@@ -163,7 +174,7 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
     On a lattice these are particles within a horizon of the ends of its longest axis.
     """
     on_lattice = np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
-    if int(total(comm, int(not on_lattice))):
+    if anywhere(comm, not on_lattice):
         return 1.0
     with agreed(comm):
         least = repeated_share(case)
@@ -193,7 +204,7 @@ def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Familie
         return cloud, families
     axes, _ = body_axes(cloud, families, families.bonds(cloud.x))
     moved = boxes(comm, chunk.x @ axes.T, patches.edge) != boxes(comm, chunk.x, patches.edge)
-    if int(total(comm, np.count_nonzero(moved))) == 0:
+    if not anywhere(comm, moved):
         return cloud, families
     cloud = make_cloud(comm, case, chunk, axes)
     return cloud, make_families(case, cloud)
@@ -201,7 +212,7 @@ def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Familie
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Build the problem of a case on a distributed cloud, with the PETSc options of its run (collective)."""
-    if int(total(cloud.comm, families.n_bonds)) == 0:
+    if not anywhere(cloud.comm, families.n_bonds):
         volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
         depth = case.particles.thickness if cloud.dim < 3 else 1.0
         spacing = (volume / depth / cloud.n_global) ** (1.0 / cloud.dim)
@@ -421,7 +432,7 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
         raise CaseError(f"{title} needs the density of each material, and {type(lacking).__name__} has none. Give it.")
     if case.solver.duration is not None and case.steps != Steps():
         raise CaseError(f"{title} has time steps of its own. Leave steps out.")
-    strained = int(total(cloud.comm, np.count_nonzero(~problem.supports.fixed[cloud.n_owned :])))
+    strained = count_nonzero(cloud.comm, ~problem.supports.fixed[cloud.n_owned :])
     if case.heat is not None or problem.supports.ties is not None or strained:
         raise CaseError(
             f"{title} does not go with heat conduction, PointSupport, an inclined Roller or a cell of unknown strain. "

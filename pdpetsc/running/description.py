@@ -9,7 +9,7 @@ from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.declare.supports import PointSupport
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, anywhere, total
 from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
@@ -161,7 +161,7 @@ def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     cut = problem.supports.held_at_cut_families()
     if cut and problem.body.surface is not None and not case.of_bonds:
         # With conforming weights a uniform stress is in equilibrium with the supports.
-        cut *= int(any(problem.body.cloud.comm.allgather(bool(unbalanced_areas(case, problem).any()))))
+        cut *= anywhere(problem.body.cloud.comm, unbalanced_areas(case, problem))
     if cut:
         report.detail(
             f"note: {cut} held particles have families that the surface cuts; stresses within two horizons of them "

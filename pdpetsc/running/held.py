@@ -14,7 +14,7 @@ from pdpetsc.declare.particles import Lattice, LatticeNodes
 from pdpetsc.declare.region import SIDES
 from pdpetsc.declare.supports import Clamp, PointSupport, RigidRegion
 from pdpetsc.declare.tools import Contact
-from pdpetsc.discrete.communicator import bounds, largest, total
+from pdpetsc.discrete.communicator import anywhere, bounds, count_nonzero, largest, total
 from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import SolveError
@@ -71,7 +71,7 @@ def particles_of_point_supports(case: Case, problem: Problem) -> dict[str, int]:
     """Return the number of particles of each point support by name (collective)."""
     cloud = problem.body.cloud
     return {
-        name: int(total(cloud.comm, np.count_nonzero(select(cloud, condition.region, name))))
+        name: count_nonzero(cloud.comm, select(cloud, condition.region, name))
         for name, condition in named(case, PointSupport)
     }
 
@@ -196,11 +196,11 @@ def no_load_note(case: Case, problem: Problem) -> str:
     comm, zero = problem.body.cloud.comm, np.zeros(problem.supports.fixed.shape)
     try:
         for t in (*SHOWN, *case.steps.stops()):
-            if int(total(comm, sum(np.count_nonzero(values) for values in problem.given(t)))):
+            if anywhere(comm, problem.given(t)):
                 return ""
         for t in SHOWN:
             internal = problem.internal_force(problem.state(zero, t))
-            if internal is None or int(total(comm, np.count_nonzero(internal))):
+            if internal is None or anywhere(comm, internal):
                 return ""
     except SolveError:  # an error of the case, reported by the run
         return ""

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Complex, Float
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.solvers import Newton
-from pdpetsc.discrete.communicator import agreed, is_root, largest, total
+from pdpetsc.discrete.communicator import agreed, count_nonzero, is_root, largest, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.observer import Observed, Observer, StepRecords
 from pdpetsc.output.progress import Report
@@ -124,7 +124,7 @@ def refuse_modes(case: Case, declared: Modes, problem: Problem) -> None:
         wrong = "of buckling need a material for large rotations, such as NeoHookean"
     if wrong:
         raise CaseError(f"Modes {wrong}.")
-    free = int(total(problem.body.cloud.comm, np.count_nonzero(~problem.supports.fixed)))
+    free = count_nonzero(problem.body.cloud.comm, ~problem.supports.fixed)
     if free <= declared.count + 1:
         raise CaseError(f"A body of {free} unknowns has no {declared.count} modes that could be sought; ask for fewer.")
     on_path = [name for name, quantity in case.history.items() if quantity.of_path]

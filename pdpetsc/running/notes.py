@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.solvers import Implicit
-from pdpetsc.discrete.communicator import agreed, bounds, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, bounds, largest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
@@ -81,7 +81,7 @@ def interface_note(case: Case, problem: Problem) -> str:
         if not shear[stiff] > highest * shear[soft] * (1.0 + 1e-9):
             continue
         beside = families.with_any(cloud.halo.with_ghosts(material_of == stiff))
-        if int(total(cloud.comm, np.count_nonzero(beside & (material_of == soft)))):
+        if anywhere(cloud.comm, beside & (material_of == soft)):
             highest, between = shear[stiff] / shear[soft], (soft, stiff)
     if highest == STIFFER:
         return ""

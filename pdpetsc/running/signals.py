@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.discrete.communicator import Comm, anywhere
 
 # Ctrl-C, the batch system or `kill`, and the end of the terminal.
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -40,7 +40,7 @@ class Signals:
 
     def asked(self) -> bool:
         """Return True if any rank got a signal (collective)."""
-        return int(total(self._comm, int(self._caught))) > 0
+        return anywhere(self._comm, self._caught)
 
     def note(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal: record the first or raise, always raise for a second."""

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
-from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.communicator import agreed, count_nonzero, largest, total
 from pdpetsc.discrete.surface import Surface, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.output.observer import Observer, StepRecords
@@ -146,7 +146,7 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
     """
     body, comm = problem.body, problem.body.cloud.comm
     n = body.cloud.n_owned
-    pushed, held = (int(total(comm, np.count_nonzero(one[:n].any(axis=1)))) for one in (areas, problem.supports.fixed))
+    pushed, held = (count_nonzero(comm, one[:n].any(axis=1)) for one in (areas, problem.supports.fixed))
     if pushed == 0:
         return Unbalanced(0, held, 0.0, 0.0)
     state = problem.state(u, t)

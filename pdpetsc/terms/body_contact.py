@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of, starts_of
 from pdpetsc.declare.body_contact import BodyContact
-from pdpetsc.discrete.communicator import all_largest, largest, smallest, total
+from pdpetsc.discrete.communicator import all_largest, anywhere, count_nonzero, largest, smallest
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import FacetProduct, FacetSprings, Product
@@ -94,7 +94,7 @@ class BodyContactForces(FacetContact):
         body.overlap.couple(mine.owner)
         self.pattern = self._search.version
         # Of facets of both parts which one is the first of a pair has no meaning.
-        self._of_itself = int(total(cloud.comm, np.count_nonzero(mine.both))) > 0
+        self._of_itself = anywhere(cloud.comm, mine.both)
         overlap = float(np.max(-self._formed(self._before).gap, initial=0.0))
         overlap = largest(cloud.comm, overlap)
         if overlap > OVERLAP * spacing:
@@ -251,7 +251,7 @@ class BodyContactForces(FacetContact):
         return self._pressed(state) or pressed
 
     def _pressed(self, state: State) -> bool:
-        return int(total(self.body.cloud.comm, len(self._touching(state).rows))) > 0
+        return anywhere(self.body.cloud.comm, len(self._touching(state).rows))
 
     def objection(self, state: State) -> str:
         """Return a reason if facets have passed through each other in the step."""
@@ -263,7 +263,7 @@ class BodyContactForces(FacetContact):
         deep = self._search.passed(u, most)
         deep = deep.chosen(deep.gap <= -self._through(deep))
         before = deep.gap - (deep.normal * self._joined_points(deep).moved(change)).sum(axis=1)
-        passed = int(total(comm, np.count_nonzero(before > -self._through(deep))))
+        passed = count_nonzero(comm, before > -self._through(deep))
         return f"bodies of {self._name} passed through each other in one step" if passed else ""
 
     def commit(self, state: State) -> None:

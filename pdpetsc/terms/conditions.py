@@ -35,7 +35,7 @@ from pdpetsc.declare.region import Face, Region
 from pdpetsc.declare.supports import Foundation, PointSupport, RigidRegion
 from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature
 from pdpetsc.declare.tools import Contact, RigidTool
-from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, largest
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.problem.body import Body
@@ -260,10 +260,10 @@ class Applied:
         inclined = ratio.any(axis=1)
         for along in range(cloud.dim):
             held = np.flatnonzero(~inclined & (axis == along))
-            if int(total(cloud.comm, len(held))):
+            if anywhere(cloud.comm, len(held)):
                 x, y, z = (0.0 if a == along else None for a in range(3))
                 self.supports.prescribe(Displacement(region, x, y, z), [(along, 0.0)], own[held].astype(np.int64), name)
-        if int(total(cloud.comm, np.count_nonzero(inclined))) == 0:
+        if not anywhere(cloud.comm, inclined):
             return
         tied, (row, other) = np.flatnonzero(inclined), np.nonzero(ratio[inclined])
         ptr = starts_of(np.bincount(row, minlength=len(tied)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask, row_of_entries
 from pdpetsc.damage.criterion import Gradient
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
 from pdpetsc.gradient.products import PointProduct, Product
@@ -329,10 +329,10 @@ class DamagedPoints(MaterialPoints):
                 break
             except FlatFamilies as flat:
                 more = np.isin(cloud.gid[:n], flat.gid) & ~detached
-                if int(total(cloud.comm, np.count_nonzero(more))) == 0:
+                if not anywhere(cloud.comm, more):
                     raise
                 detached |= more
-        self.n_detached = int(total(cloud.comm, np.count_nonzero(detached)))
+        self.n_detached = count_nonzero(cloud.comm, detached)
         volume = np.where(detached[operator.owner], 0.0, self._by_bonds_left(operator))
         return self._with_weights_left(operator).changed(volume=volume)
 

@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.conditions import BodyForce, Force, MeanStress, Traction, Value, evaluated
 from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import from_parts
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, anywhere, total
 from pdpetsc.discrete.surface import ON_MIRROR
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
@@ -214,7 +214,7 @@ class DeadLoads(PrescribedLoads):
             turned[cloud.n_owned :] = (np.abs(cloud.sign * normal - normal) > ON_MIRROR).any(axis=1)
         cloud.halo.reverse(turned)
         beside = reached & (turned[: cloud.n_owned] > 0.0)
-        if int(total(cloud.comm, np.count_nonzero(beside))):
+        if anywhere(cloud.comm, beside):
             raise CaseError(
                 f"{name} is consistent, and its face within three horizons of its own image behind a mirror plane; use "
                 f'distribution="layer" or "surface", or the whole body.'

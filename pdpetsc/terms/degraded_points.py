@@ -13,7 +13,7 @@ from pdpetsc.control.base import Control
 from pdpetsc.control.tangent_scaled import YieldingFamilies
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, largest
 from pdpetsc.discrete.crack_images import images_of_cloud
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
@@ -149,7 +149,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
                 here = crack.cuts(sign * (low - shift), sign * (high - shift)) & ~cut
                 cut[here], normal[here] = True, along[here]
         points, normal = points[cut], normal[cut]
-        if not int(total(self.body.cloud.comm, len(points))):
+        if not anywhere(self.body.cloud.comm, len(points)):
             raise CaseError(
                 f"The {type(crack).__name__} in cracks of PointDamage cuts no family of a point that may fail. Put it "
                 f"in the body, outside protected regions."
@@ -334,7 +334,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points, x = self.points, self.driven(state).x
         final, normal = points.final.copy(), np.zeros_like(points.normal)
         ahead = np.flatnonzero((points.largest <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
-        if int(total(self.body.cloud.comm, len(ahead))):
+        if anywhere(self.body.cloud.comm, len(ahead)):
             across = self._across(state, ahead, x)
             final[ahead] = self._final(ahead, across)
             normal[ahead] = np.where(x[ahead, None] > 1.0, across, 0.0)

@@ -11,7 +11,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of, row_of_entries, starts_of
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, exchange, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, exchange, largest
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.overlap import (
@@ -407,7 +407,7 @@ class Search:
         y = self.one.deformed(u), self.other.deformed(u)
         apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(y, self._found_at, strict=True)]
         room = self._slack - float(np.sqrt(self._cloud.dim) * sum(apart))
-        return int(total(self._cloud.comm, int(room < 0.0))) > 0
+        return anywhere(self._cloud.comm, room < 0.0)
 
     def renew(self, u: Float) -> None:
         """Search the facets that are near (not collective).

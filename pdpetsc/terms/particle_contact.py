@@ -10,7 +10,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import agreed, exchange, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero, exchange, largest, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
@@ -270,7 +270,7 @@ class ParticleContactForces(Term):
         pressed = len(self._pressed(state)[0])
         if not self._renew(state.own):
             return False
-        return int(total(comm, pressed + len(self._pressed(state)[0]))) > 0
+        return anywhere(comm, pressed + len(self._pressed(state)[0]))
 
     def objection(self, state: State) -> str:
         """Return a reason if particles without a bond have passed each other on their straight ways in the step."""
@@ -291,7 +291,7 @@ class ParticleContactForces(Term):
         gone = (np.linalg.norm(end, axis=1) >= near.r0) | ((start * end).sum(axis=1) < 0.0)
         apart = np.linalg.norm(start, axis=1) >= PASSING * near.r0
         passed = self._without_bond(near.bond) & (least < PASSING * near.r0) & gone & apart
-        count = int(total(comm, np.count_nonzero(passed)))
+        count = count_nonzero(comm, passed)
         return f"particles of {self._name} passed through each other in one step" if count else ""
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:

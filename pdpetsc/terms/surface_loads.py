@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.declare.region import Named, Region
-from pdpetsc.discrete.communicator import agreed, bounds, total
+from pdpetsc.discrete.communicator import agreed, anywhere, bounds, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.terms.prescribed_loads import SHOWN, PrescribedLoads
@@ -93,7 +93,7 @@ class SurfaceLoads(PrescribedLoads):
         mask = surface.select(cloud, region, name)
         if normal is not None:
             mask &= surface.area @ normal > LOOKS * np.linalg.norm(surface.area, axis=1)
-            if int(total(cloud.comm, np.count_nonzero(mask))) == 0:
+            if not anywhere(cloud.comm, mask):
                 raise CaseError(
                     f"No facet in the region of {name} looks along its normal {np.round(normal, 6).tolist()}; let it "
                     f"point out of the body, or leave it out."

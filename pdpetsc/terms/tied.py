@@ -6,7 +6,7 @@ import numpy as np
 
 from pdpetsc.arrays import LocalIndex, Mask
 from pdpetsc.declare.body_contact import Tied
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.problem.body import Body
@@ -49,7 +49,7 @@ class TiedForces(PointSprings):
         search.renew(rest)
         pairs = search.pairs(rest)
         pairs = pairs.chosen(np.abs(pairs.gap) <= declared.gap * spacing)
-        if int(total(cloud.comm, len(pairs.rows))) == 0:
+        if not anywhere(cloud.comm, len(pairs.rows)):
             raise CaseError(f"No facets of {name} overlap within a gap of {declared.gap:g} spacings; raise the gap.")
         ends = both_ends(mine.ends(pairs.rows, pairs.one), theirs.ends(pairs.other_rows, pairs.other))
         stencils = StencilMembers(mine.owner[pairs.rows], ends.ptr, ends.members)

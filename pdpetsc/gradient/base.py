@@ -114,12 +114,15 @@ class GradientOperator(StencilMembers):
     parts : Parts or None
         Part of the family of each point, if broken bonds may leave a part without a point. None if the points of a
         particle do not depend on broken bonds.
+    unsuited : str
+        Why the weights may not converge on this body; empty if nothing is known against them. The same on all ranks.
     """
 
     g: Float
     volume: Float
     note: str = ""
     parts: Parts | None = None
+    unsuited: str = ""
 
     @property
     def n_points(self) -> int:
@@ -162,14 +165,11 @@ class GradientOperator(StencilMembers):
         """Return the operator with all weights listed: itself (not collective)."""
         return self
 
-    def changed(self, volume: Float | None = None, note: str | None = None) -> GradientOperator:
-        """Return the operator with other volumes of its points (n_points,), or with a further note."""
+    def changed(self, **attributes: object) -> GradientOperator:
+        """Return the operator with other values of some attributes, such as the volumes of its points."""
         found = copy.copy(self)
         found.__dict__.pop("listed", None)
-        if volume is not None:
-            found.__dict__["volume"] = volume
-        if note is not None:
-            found.__dict__["note"] = "; ".join(filter(None, [self.note, note]))
+        found.__dict__.update(attributes)
         return found
 
     def same_gradient(self, springs: Springs) -> SameGradient | None:

@@ -116,8 +116,8 @@ def conforming(
             f"a particle at {worst} after {iterations} iterations; its family is too "
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."
         )
-    note = _judged(cloud, operator, g, iterations)
-    return replace(operator, g=g).changed(note=note)
+    notes = [operator.note, _judged(cloud, operator, g, iterations)]
+    return replace(operator, g=g, note="; ".join(filter(None, notes)))
 
 
 def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int) -> str:

@@ -95,7 +95,7 @@ class Suited(Conforming):
             return Unsuited(str(error)).of(operator, cloud, families, surface, solve)
 
 
-# Start of the note on a body without the conforming weights that are the default of its particles.
+# What the log says of a body without the conforming weights that are the default of its particles.
 MAY_NOT_CONVERGE = "standard weights, which may not converge here"
 
 
@@ -108,8 +108,9 @@ class Unsuited(Standard):
     def of(
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
-        """Return the operator unchanged, with a note."""
-        return operator.changed(note=f"{MAY_NOT_CONVERGE}. {self.why}")
+        """Return the operator with the same weights, the note and the reason."""
+        note = f"{MAY_NOT_CONVERGE}. {self.why}"
+        return operator.changed(note="; ".join(filter(None, [operator.note, note])), unsuited=self.why)
 
 
 # Weights by their name in case files.

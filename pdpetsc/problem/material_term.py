@@ -21,6 +21,8 @@ class MaterialTerm(Term):
     ----------
     note : str
         Note for the user on how the term was built; the same on all ranks.
+    unsuited : str
+        As of ``GradientOperator``; empty for a body without gradients.
     n_detached : int
         Number of particles on all ranks with too few bonds for a gradient. They have no stress.
 
@@ -32,6 +34,7 @@ class MaterialTerm(Term):
     horizons = 2
     energy_of = "strain"
     note: str = ""
+    unsuited: str = ""
     n_detached: int = 0
     # Whether the forces depend on time, which requires load steps.
     timed: bool = False

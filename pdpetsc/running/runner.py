@@ -204,7 +204,7 @@ class _Run:
                 f"NUMBA_CACHE_DIR to a folder of yours."
             )
         record.summary |= describe(case, prepared.problem, declared, report)
-        refuse_contact_without_weights(case, str(record.summary["scheme"]["note"]))
+        refuse_contact_without_weights(case, prepared.problem.material_term.unsuited)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]
@@ -334,9 +334,8 @@ class _Run:
             )
         if solver.ended:
             report.say(solver.ended)
-        _, unsuited, why = str(record.summary["scheme"]["note"]).partition(MAY_NOT_CONVERGE)
-        if unsuited:
-            report.warn(f"The run used {MAY_NOT_CONVERGE}{why} Otherwise compare two spacings.")
+        if unsuited := prepared.problem.material_term.unsuited:
+            report.warn(f"The run used {MAY_NOT_CONVERGE}. {unsuited} Otherwise compare two spacings.")
         for warning in record.warnings():
             report.warn(warning)
         report.results(results, Labels.of(record.summary))

@@ -14,7 +14,6 @@ from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence, MeanDilatation, SubHorizons
-from pdpetsc.gradient.weights import MAY_NOT_CONVERGE
 from pdpetsc.material.j2 import J2
 from pdpetsc.material.kinematic import KinematicJ2
 from pdpetsc.problem.problem import Problem
@@ -155,19 +154,18 @@ def locking_note(case: Case, problem: Problem) -> str:
     )
 
 
-def refuse_contact_without_weights(case: Case, note: str) -> None:
+def refuse_contact_without_weights(case: Case, unsuited: str) -> None:
     """Raise CaseError if a tool presses a body whose default, conforming weights do not exist (not collective).
 
     Parameters
     ----------
     case : Case
         The case.
-    note : str
-        What the scheme says of its weights.
+    unsuited : str
+        Why they do not exist; empty if they do.
     """
-    _, without, why = note.partition(MAY_NOT_CONVERGE)
-    if without and any(isinstance(condition, Contact | TwoParts) for condition in case.conditions):
+    if unsuited and any(isinstance(condition, Contact | TwoParts) for condition in case.conditions):
         raise CaseError(
-            f"Contact needs conforming weights, which do not exist here{why} With standard ones the pressure would be "
-            f"wrong by half."
+            f"Contact needs conforming weights, which do not exist here. {unsuited} With standard ones the pressure "
+            f"would be wrong by half."
         )

@@ -55,7 +55,7 @@ class MaterialPoints(MaterialTerm):
     ) -> None:
         super().__init__(body)
         self.operator = operator
-        self.note = self.operator.note
+        self.note, self.unsuited = self.operator.note, self.operator.unsuited
         number_of = material_of[self.operator.owner]
         self.materials: list[MaterialAtPoints] = []
         for number, material in enumerate(materials):

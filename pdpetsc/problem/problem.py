@@ -54,6 +54,8 @@ class Problem:
         Term with masses and velocities; None for equilibria.
     snap_inertia : Inertia or None
         Inertia of motions between equilibria; None for solvers without such motions.
+    converged : float
+        Load parameter of the last committed state [-].
     fields : list of SolvedField
         Fields that are solved for besides the displacement, at most one.
     last_step : LastStep or None
@@ -76,8 +78,7 @@ class Problem:
     ) -> None:
         self.body = body
         self.duration = duration
-        # Load parameter of the last converged step.
-        self._converged = 0.0
+        self.converged = 0.0
         self.material_term = material_term
         self.terms: list[Term] = [material_term, *terms]
         self.supports = supports
@@ -102,11 +103,6 @@ class Problem:
     def dim(self) -> int:
         """Return the dimension (not collective)."""
         return self.body.dim
-
-    @property
-    def converged(self) -> float:
-        """Return the load parameter of the last committed state (not collective)."""
-        return self._converged
 
     @property
     def linear(self) -> bool:
@@ -215,7 +211,7 @@ class Problem:
 
     def clock(self, t: float) -> Clock:
         """Return load parameter and physical time at a load parameter (not collective)."""
-        return Clock(t, t * self.duration, (t - self._converged) * self.duration, self._converged)
+        return Clock(t, t * self.duration, (t - self.converged) * self.duration, self.converged)
 
     def state(self, u: Float, t: float = 0.0) -> State:
         """Return the state at unknowns (n_rows, dim) and a load parameter.
@@ -334,7 +330,7 @@ class Problem:
 
     def restored(self, t: float) -> None:
         """Continue from a load parameter, after the arrays of the terms have been read."""
-        self._converged = t
+        self.converged = t
         for term in self.terms:
             if term.arrays():
                 term.restored()
@@ -356,7 +352,7 @@ class Problem:
             rigid.commit()
         if self.last_step is not None:
             self.last_step.commit(state)
-        self._converged = state.t
+        self.converged = state.t
 
     def start_from(self, state: State) -> None:
         """Prepare the terms for solves or time steps that start from a state."""
@@ -405,7 +401,7 @@ class Problem:
 
     def advance(self, before: float, t: float) -> None:
         """Begin the step from the converged load parameter ``before`` to ``t``, and solve staggered fields."""
-        self._converged = before
+        self.converged = before
         for field in self.fields:
             field.advance(before, t)
 

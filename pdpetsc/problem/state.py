@@ -33,7 +33,7 @@ class State:
     def __init__(self, body: Body, u: Float, clock: Clock = START, u_local: Float | None = None) -> None:
         self.body = body
         self.u = u
-        self._clock = clock
+        self.clock = clock
         # Stress-free deformation; None for a body without expansion.
         self.expansion = None if body.expansion is None else body.expansion.at(clock.load)
         self._u_local = u_local
@@ -41,14 +41,9 @@ class State:
         self._kept: dict[Hashable, Any] = {}
 
     @property
-    def clock(self) -> Clock:
-        """Return load parameter and physical time."""
-        return self._clock
-
-    @property
     def t(self) -> float:
         """Return the load parameter [-]."""
-        return self._clock.load
+        return self.clock.load
 
     @property
     def temperature(self) -> Float | None:

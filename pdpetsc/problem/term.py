@@ -90,6 +90,10 @@ class Term(ABC):
     version : int
         Increases if the forces or the tangent at the same unknowns and load parameter change, for example if ``commit``
         updates history variables.
+    rigid : RigidBody or None
+        Rigid body that the term holds, if its motion follows from a load.
+    joined : (n, 2) int32
+        Pairs of local particles that the term holds together in every direction.
 
     Notes
     -----
@@ -108,6 +112,8 @@ class Term(ABC):
     stiff: bool = False
     pattern: int = 0
     version: int = 0
+    rigid: RigidBody | None = None
+    joined: LocalIndex = np.empty((0, 2), dtype=np.int32)
 
     def __init_subclass__(cls, **more: object) -> None:
         super().__init_subclass__(**more)
@@ -139,11 +145,6 @@ class Term(ABC):
         return None if self.grounded is None else np.where(self.grounded, modes, 0.0)
 
     @property
-    def joined(self) -> LocalIndex:
-        """Return pairs (n, 2) of local particles that the term holds together in every direction (not collective)."""
-        return np.empty((0, 2), dtype=np.int32)
-
-    @property
     def resultants(self) -> list[tuple[str, float, Float]]:
         """Return name, load parameter and total force (dim,) of each load, for the run record (not collective)."""
         return [] if self.rigid is None else self.rigid.resultants
@@ -171,11 +172,6 @@ class Term(ABC):
         The sparsity is then that of whole families.
         """
         return False
-
-    @property
-    def rigid(self) -> RigidBody | None:
-        """Return the rigid body that the term holds, if its motion follows from a load; else None (not collective)."""
-        return None
 
     def tool_gap(self, state: State) -> float:
         """Return the smallest distance of a tool from the body [length], by default 0 (collective)."""

@@ -74,7 +74,7 @@ class BondForces(MaterialTerm):
 
     def _take(self, materials: Sequence[BondMaterial], material_of: LocalIndex, factor: Float) -> None:
         """Store the materials of the own particles."""
-        self.materials, self._material_of, self._factor = materials, material_of, factor
+        self.materials, self.material_of, self.factor = materials, material_of, factor
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
         # Gradient points for the driving variable, if it needs them.
@@ -89,17 +89,7 @@ class BondForces(MaterialTerm):
     @cached_property
     def constants(self) -> BondStiffness:
         """Return the stiffness of bonds and particles (collective on first use)."""
-        return combine(self._bonds, self.materials, self._material_of, self._factor)
-
-    @property
-    def material_of(self) -> LocalIndex:
-        """Return the number of the material of each own particle (n_owned,)."""
-        return self._material_of
-
-    @property
-    def factor(self) -> Float:
-        """Return the factor on the moduli of each own particle (n_owned,) [-]."""
-        return self._factor
+        return combine(self._bonds, self.materials, self.material_of, self.factor)
 
     @property
     def k(self) -> Float:
@@ -145,7 +135,7 @@ class BondForces(MaterialTerm):
             # Gradient over the unbroken bonds, with the elastic material that the bonds represent.
             kind = SaintVenantKirchhoff if self.finite else LinearElastic
             solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
-            scheme, of, factor = Correspondence(), self._material_of, self._factor
+            scheme, of, factor = Correspondence(), self.material_of, self.factor
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
         self._is_nonlocal = damage.driving_variable.is_nonlocal
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
@@ -315,7 +305,7 @@ class BondForces(MaterialTerm):
     def largest_modulus(self) -> float:
         """Return the largest ``lambda + 2 mu`` of the materials times the largest factor on this rank [stress]."""
         lame = [elastic.lame(self.body.dim) for elastic in self._elastic]
-        return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
+        return max(lam + 2.0 * mu for lam, mu in lame) * float(self.factor.max(initial=0.0))
 
     def dissipation_density(self) -> Float | None:
         """Compute the dissipation of failing bonds, half of it at each end (n_owned,) [energy / volume].
@@ -378,14 +368,14 @@ class BondForces(MaterialTerm):
         dim, expansion = self.body.dim, state.expansion
         across = self._hidden_stretch(self.deformation_gradient(state), state)
         strained = [elastic.nu if dim == 2 and elastic.plane == "strain" else 0.0 for elastic in self._elastic]
-        ratio = np.array(strained)[self._material_of]
+        ratio = np.array(strained)[self.material_of]
         P, sigma = self.first_piola_stress(state), self.cauchy_stress(state)
         traces = [ratio * np.einsum("pii->p", stress) for stress in (P, sigma)]
         if expansion is not None:
             young = np.array(
                 [elastic.E if elastic.plane == "strain" and dim == 2 else 0.0 for elastic in self._elastic]
             )
-            held = (young[self._material_of] * self._factor) * expansion.strain[:, 2, 2]
+            held = (young[self.material_of] * self.factor) * expansion.strain[:, 2, 2]
             traces = [trace - held for trace in traces]
         if dim == 1:  # the product of two equal stretches
             across = 1.0 + 0.5 * (across - 1.0) if not self.finite else np.sqrt(across)
@@ -399,11 +389,11 @@ class BondForces(MaterialTerm):
         dim, expansion = self.body.dim, state.expansion
         elastic = F if expansion is None else F - expansion.in_body()
         stretch = np.array([one.thickness_stretch(elastic) for one in self._elastic])
-        across = stretch[self._material_of, np.arange(len(F))]
+        across = stretch[self.material_of, np.arange(len(F))]
         if expansion is not None:
             free = [float(dim == 1 or (dim == 2 and one.plane == "stress")) for one in self._elastic]
             hidden = expansion.strain[:, range(dim, 3), range(dim, 3)].sum(axis=1)
-            across = across + np.array(free)[self._material_of] * hidden
+            across = across + np.array(free)[self.material_of] * hidden
         return np.asarray(across)
 
     def energy_density(self, state: State) -> Float:

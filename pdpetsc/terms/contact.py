@@ -63,6 +63,7 @@ class ContactForces(FacetContact):
         )  # fmt: skip
         self._tool = declared.tool
         self._moving = RigidBody(declared.tool, body.cloud.comm, body.dim, self._owner, title)
+        self.rigid = self._moving if declared.tool.loaded else None
         self.works = self._mu > 0.0 or not declared.tool.rests
         self._x, self._at = facets.x, Points.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
@@ -175,11 +176,6 @@ class ContactForces(FacetContact):
     def untouched(self) -> float:
         """Return the smallest gap up to the last converged state if the tool never touched, else 0 (not collective)."""
         return self._nearest if self._nearest > self._allowed else 0.0
-
-    @property
-    def rigid(self) -> RigidBody | None:
-        """Return the tool if it is loaded (not collective)."""
-        return self._moving if self._tool.loaded else None
 
     def _step_from(self, state: State) -> None:
         self._slid[:] = self._slid_end

@@ -262,11 +262,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self.points.gone
 
     @property
-    def timed(self) -> bool:  # type: ignore[override]
-        """Return True if a material depends on time."""
-        return super().timed
-
-    @property
     def symmetric(self) -> bool:  # type: ignore[override]
         """Return True if the tangents of all materials and closed parts are symmetric."""
         return super().symmetric and (self._closed is None or self._closed.symmetric)
@@ -597,10 +592,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def dissipation_density(self) -> Float:
         """Compute the mean of ``-int Y dphi`` over the points of each own particle (n_owned,) [energy / volume]."""
         return self._of_particles(self.points.dissipated())
-
-    def cauchy_stress(self, state: State) -> Float:
-        """Compute the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self.mean_stress(self.laws(state).cauchy_of(self.stress(state), self.deformation(state)))
 
     def energy_by_strain(self, state: State) -> Float:
         """Compute the derivative of the energy density by the eigenstrain at constant F (n_points, 3, 3)."""

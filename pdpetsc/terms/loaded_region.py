@@ -23,12 +23,7 @@ class LoadedRegion(Term):
     """
 
     def __init__(self, rigid: RigidBody, owner: LocalIndex) -> None:
-        self._rigid, self._owner = rigid, owner
-
-    @property
-    def rigid(self) -> RigidBody:
-        """Return the region (not collective)."""
-        return self._rigid
+        self.rigid, self._kept = rigid, KeptArray(owner, rigid.kept)
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return an empty list: the term has no forces."""
@@ -40,4 +35,4 @@ class LoadedRegion(Term):
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the motion at the last converged step."""
-        return {"rigid": KeptArray(self._owner, self._rigid.kept)}
+        return {"rigid": self._kept}

@@ -280,10 +280,7 @@ class MaterialPoints(MaterialTerm):
 
     def plastic_growth(self, state: State) -> float:
         """Return the largest increase of the plastic strain on this rank if the step ends at a state [-]."""
-        return self._most_growth(self.laws(state).plastic_growth(self.deformation(state)))
-
-    def _most_growth(self, grown: Float) -> float:
-        """Return the largest increase of the plastic strain (n_points,) [-] at points that are not lost."""
+        grown = self.laws(state).plastic_growth(self.deformation(state))
         return float((grown if self.lost is None else grown[~self.lost]).max(initial=0.0))
 
     @property
@@ -330,7 +327,7 @@ class MaterialPoints(MaterialTerm):
 
     def cauchy_stress(self, state: State) -> Float:
         """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self.mean_stress(self.laws(state).cauchy(self.deformation(state)))
+        return self.mean_stress(self.laws(state).cauchy_of(self.stress(state), self.deformation(state)))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
         """Return stretch, P and Cauchy stress normal to a plane or line body (n_owned,)."""

@@ -87,6 +87,8 @@ class PatchPoints(MaterialPoints):
         Stiffness against the rest of the dilatation, ``2 share mu`` [stress].
     weight : (n_points,) float64
         Share of each point in the volume of its patch [-].
+    patches : StencilMembers
+        Particles of every patch with their families. The owner is first, and again among the others.
 
     Raises
     ------
@@ -150,24 +152,19 @@ class PatchPoints(MaterialPoints):
         # The owner comes first, with a zero vector, as the centre of a point does.
         self._front = ptr[:-1]
         members = np.insert(member, self._front, patch_owner).astype(np.int32)
-        self._patches = StencilMembers(patch_owner, ptr + np.arange(len(ptr)), members)
+        self.patches = StencilMembers(patch_owner, ptr + np.arange(len(ptr)), members)
         self._point_of_entry = point_of
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
         """Return the particles of patches with their families."""
-        return self._patches.point_ptr, self._patches.members
-
-    @property
-    def patches(self) -> StencilMembers:
-        """Return the particles of every patch with their families. The owner is first, and again among the others."""
-        return self._patches
+        return self.patches.point_ptr, self.patches.members
 
     within_families = False
 
     def dependents(self, marked: Float) -> Mask:
         """Return the own particles that share a patch with a marked local particle (collective)."""
-        return sharing_stencil(self.body.cloud, self._patches.point_ptr, self._patches.members, marked)
+        return sharing_stencil(self.body.cloud, self.patches.point_ptr, self.patches.members, marked)
 
     def shared(self, state: State) -> Shared:
         """Compute the gradients at an admissible state, with the dilatations of patches."""
@@ -297,8 +294,8 @@ class PatchPoints(MaterialPoints):
         # A softened patch resists its mean dilatation like shear.
         shear = SOFTER * self._sum(w * self.twice_shear)
         soft = np.clip(stiff, LEAST * shear, shear)
-        s_left += np.repeat(soft, np.diff(self._patches.point_ptr))[:, None] * b
-        patches = self._patches, self.body.cloud.n_owned
+        s_left += np.repeat(soft, np.diff(self.patches.point_ptr))[:, None] * b
+        patches = self.patches, self.body.cloud.n_owned
         return [
             PointProduct(self.operator, Moduli(A)),
             RankOneProduct(*patches, s_right, b, volume),
@@ -317,7 +314,7 @@ class PatchPoints(MaterialPoints):
         """Compute ``sum_p w_p B_p g_pk`` on the entries of patches (n_entries, dim) for tensors ``w B`` of points."""
         of = self._point_of_entry
         each = np.einsum("eim,em->ei", weighted[of], self.operator.g)
-        sums = sum_by(self._slot, each, len(self._patches.members) - len(self._front))
+        sums = sum_by(self._slot, each, len(self.patches.members) - len(self._front))
         return np.asarray(np.insert(sums, self._front, 0.0, axis=0))
 
     def _sum(self, values: Float) -> Float:

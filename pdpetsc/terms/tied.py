@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import LocalIndex, Mask
+from pdpetsc.arrays import Mask
 from pdpetsc.declare.body_contact import Tied
 from pdpetsc.discrete.communicator import anywhere
 from pdpetsc.errors import CaseError
@@ -58,13 +58,7 @@ class TiedForces(PointSprings):
         points = Points(x, pairs.area, np.arange(len(pairs.rows)), stencils, ends.weights)
         super().__init__(body, points, np.tile(stiffness * np.eye(body.dim), (len(pairs.rows), 1, 1)), declared.name)
         # An own particle at both ends of each pair.
-        self._joined = np.stack([ends.members[ends.ptr[:-1]], ends.members[ends.ptr[1:] - 1]], axis=1)
+        self.joined = np.stack([ends.members[ends.ptr[:-1]], ends.members[ends.ptr[1:] - 1]], axis=1)
 
     # Pairs are of particles without a common family.
     within_families = False
-
-    @property
-    def joined(self) -> LocalIndex:
-        """Return a particle of both facets of each pair (not collective)."""
-        found: LocalIndex = self._joined
-        return found

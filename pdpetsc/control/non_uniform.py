@@ -70,20 +70,20 @@ class NonUniform(Control):
         self._scaled_from: tuple[NonUniform, Float] | None = None
 
     @classmethod
-    def proportional(
-        cls, cloud: Cloud, families: Families, omega: Float, factor: Float, K_inverse: Float
-    ) -> NonUniform:
-        """Return the control with ``s_ij = c_i omega V_j``, computed on use.
+    def proportional(cls, cloud: Cloud, families: Families, omega: Float, K: Float, coefficient: Float) -> NonUniform:
+        """Return the control ``T_z = c_i omega z``, with ``s_ij = c_i V_i omega V_j`` computed on use.
 
         Parameters
         ----------
         omega : (n_bonds,) float64
             Influence [-].
-        factor : (n_owned,) float64
-            ``c_i`` [force / (length volume)].
-        K_inverse : (n_owned, dim, dim) float64
-            As for the control.
+        K : (n_owned, dim, dim) float64
+            Shape tensors for the weights ``omega V_j``.
+        coefficient : (n_owned,) float64
+            ``c_i`` [force / length^(2 dim + 1), thickness counted as a length]; all zero or all positive.
         """
+        factor = coefficient * cloud.volume[: cloud.n_owned]
+        K_inverse = inverses(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
 
         def stiffness() -> Float:
             found = families.weights(omega, cloud.volume)

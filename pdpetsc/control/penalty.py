@@ -13,7 +13,6 @@ from pdpetsc.declared import NonNegative
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import regular_shape_tensors
-from pdpetsc.kernels.gradient import inverses
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,4 @@ class Penalty(ZeroEnergyControl):
         """Build the control (collective); raise CaseError if a family is too small or flat."""
         weight = families.weights(omega, cloud.volume)
         K = regular_shape_tensors(cloud, families, weight, "the penalty")
-        factor = self.C3 * cloud.volume[: cloud.n_owned]
-        K_inverse = inverses(K * factor[:, None, None]) if self.C3 > 0.0 else np.zeros_like(K)
-        return NonUniform.proportional(cloud, families, omega, factor, K_inverse)
+        return NonUniform.proportional(cloud, families, omega, K, np.full(cloud.n_owned, self.C3))

@@ -18,7 +18,6 @@ from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import regular_shape_tensors
-from pdpetsc.kernels.gradient import inverses
 
 # Micromodulus of a bond-based solid times horizon^4 over its stiffness, with a thickness of one in the plane.
 MICROMODULUS = {2: 12.0 / math.pi, 3: 18.0 / math.pi}
@@ -60,7 +59,7 @@ class Silling(ZeroEnergyControl):
         """Build the control (collective); raise CaseError if a family is too small or flat."""
         weight = families.weights(omega, cloud.volume)
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
-        return _proportional(cloud, families, omega, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
+        return NonUniform.proportional(cloud, families, omega, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ class SillingMicromodulus(ZeroEnergyControl):
         omega_0 = families.sums(weight)
         reach = cloud.local_horizon[: cloud.n_owned]
         modulus = c * (self.unit_length / reach) ** 2 * stiffness.kappa
-        return _proportional(cloud, families, omega, K, self.G * modulus / (reach**2 * omega_0))
+        return NonUniform.proportional(cloud, families, omega, K, self.G * modulus / (reach**2 * omega_0))
 
 
 def _micromodulus(dim: int) -> float:
@@ -155,20 +154,3 @@ def _micromodulus(dim: int) -> float:
     if dim not in MICROMODULUS:
         raise CaseError(f"No paper gives the micromodulus of SillingMicromodulus in {dim}D; take Silling there.")
     return MICROMODULUS[dim]
-
-
-def _proportional(cloud: Cloud, families: Families, omega: Float, K: Float, coefficient: Float) -> Control:
-    """Return the control ``T_z = coefficient omega z``.
-
-    Parameters
-    ----------
-    omega : (n_bonds,) float64
-        Influence [-].
-    K : (n_owned, dim, dim) float64
-        Shape tensors for the weights ``omega V_j``.
-    coefficient : (n_owned,) float64
-        [force / length^(2 dim + 1), thickness counted as a length]; all zero or all positive.
-    """
-    factor = coefficient * cloud.volume[: cloud.n_owned]
-    K_inverse = inverses(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
-    return NonUniform.proportional(cloud, families, omega, factor, K_inverse)

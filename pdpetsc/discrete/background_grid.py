@@ -9,8 +9,8 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import anywhere, ask, offset, total
-from pdpetsc.discrete.components import rigid_at
+from pdpetsc.discrete.communicator import ask, offset, total
+from pdpetsc.discrete.components import least_labels, rigid_at
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.background import interpolate_kernel, join_corners, join_within_cells, restrict_kernel
 
@@ -221,16 +221,7 @@ class BackgroundGrid:
         of[mirrored] = -1
         parent = np.arange(cloud.n_local, dtype=np.int32)
         join_within_cells(families.indptr, families.neighbours, kept, of, parent)
-        label = cloud.gid.copy()
-        while True:
-            least = np.full(cloud.n_local, np.iinfo(np.int64).max)
-            np.minimum.at(least, parent, label)
-            new = least[parent]
-            cloud.halo.forward(new)
-            changed = np.any(new != label)
-            label = new
-            if not anywhere(cloud.comm, changed):
-                break
+        label = least_labels(cloud, parent)
         here = np.flatnonzero(~mirrored)
         self._labels, first, number = np.unique(label[here], return_index=True, return_inverse=True)
         element = np.full(cloud.n_local, -1, dtype=np.int32)

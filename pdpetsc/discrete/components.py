@@ -26,7 +26,7 @@ def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = No
 
     Notes
     -----
-    Collective; the number of exchanges is at most the number of rank boundaries that a piece crosses.
+    Collective.
     """
     bonds = families.connecting()
     if joined is not None:
@@ -34,12 +34,24 @@ def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = No
     graph = scipy.sparse.coo_matrix(
         (np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local)
     )
-    count, local = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    return np.asarray(least_labels(cloud, group)[: cloud.n_owned])
+
+
+def least_labels(cloud: Cloud, group: LocalIndex) -> GlobalIndex:
+    """Return the smallest global id of the particles that are connected to each local particle on any rank (n_local,).
+
+    ``group`` (n_local,) are numbers below n_local, equal for particles that are connected on this rank.
+
+    Notes
+    -----
+    Collective; the number of exchanges is at most the number of rank boundaries that connected particles cross.
+    """
     label = cloud.gid.copy()
     while True:
-        least = np.full(count, np.iinfo(np.int64).max)
-        np.minimum.at(least, local, label)
-        new = least[local]
+        least = np.full(cloud.n_local, np.iinfo(np.int64).max)
+        np.minimum.at(least, group, label)
+        new = least[group]
         # If horizons differ, the owner of a ghost may have no information on its bond here.
         each = np.ones(cloud.n_ghost, dtype=np.int64)
         back = cloud.halo.reverse_rows(new[cloud.n_owned :], each, np.ones(len(cloud.halo.send_index), dtype=np.int64))
@@ -48,7 +60,7 @@ def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = No
         changed = np.any(new != label)
         label = new
         if not anywhere(cloud.comm, changed):
-            return np.asarray(label[: cloud.n_owned])
+            return label
 
 
 def refuse_rigid_motion(

@@ -404,8 +404,9 @@ class Search:
         """
         if self._found_at is None:
             return True
-        y = self.one.deformed(u), self.other.deformed(u)
-        apart = [np.abs(now - before).max(initial=0.0) for now, before in zip(y, self._found_at, strict=True)]
+        apart = [
+            np.abs(now - before).max(initial=0.0) for now, before in zip(self._deformed(u), self._found_at, strict=True)
+        ]
         room = self._slack - float(np.sqrt(self._cloud.dim) * sum(apart))
         return anywhere(self._cloud.comm, room < 0.0)
 
@@ -414,17 +415,17 @@ class Search:
 
         They are searched twice as far as is necessary, so that the next states do not require a search.
         """
-        y = self.one.deformed(u), self.other.deformed(u)
+        y = self._deformed(u)
         self.near, self._found_at = self._within(y, 2.0 * self._slack), y
         self.version += 1
 
     def pairs(self, u: Float) -> Pairs:
         """Return the near pairs that overlap (not collective)."""
-        return self._overlapping((self.one.deformed(u), self.other.deformed(u)), *self.near)
+        return self._overlapping(self._deformed(u), *self.near)
 
     def passed(self, u: Float, slack: float) -> Pairs:
         """Return the pairs that overlap of facets nearer than ``slack`` [length] (not collective)."""
-        y = self.one.deformed(u), self.other.deformed(u)
+        y = self._deformed(u)
         return self._overlapping(y, *self._within(y, slack))
 
     def by_corners(self, u: Float, pairs: Pairs) -> Float:
@@ -437,10 +438,15 @@ class Search:
         """
         dim = self._cloud.dim
         J = np.empty((len(pairs.rows), QUANTITIES, 2 * _CORNERS[dim] * dim))
-        y = self.one.deformed(u), self.other.deformed(u)
-        overlap_by_corners(*y, self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, dim, J)
+        overlap_by_corners(
+            *self._deformed(u), self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, dim, J
+        )
         J[:, AREA] *= self.one.depth
         return J
+
+    def _deformed(self, u: Float) -> tuple[Float, Float]:
+        """Return the deformed corners of both sides [length]."""
+        return self.one.deformed(u), self.other.deformed(u)
 
     def _overlapping(self, y: tuple[Float, Float], one: GlobalIndex, other: GlobalIndex) -> Pairs:
         dim, q = self._cloud.dim, np.zeros((len(one), QUANTITIES))

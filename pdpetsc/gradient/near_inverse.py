@@ -35,8 +35,8 @@ MOST_ON_GRID, MOST = 200, 2000
 DIRECT_ON_GRID, DIRECT = {2: 250_000, 3: 30_000}, {1: 10**7, 2: 250_000, 3: 6_000}
 
 
-class Entries(NamedTuple):
-    """Entries of a matrix with global numbers, which are summed over all ranks.
+class Triplets(NamedTuple):
+    """Entries of a matrix, each a row, a column and a value, which are summed over all ranks.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class NearInverse(ABC):
     ----------
     x : (n, dim) float64
         Positions of the own unknowns of the matrices.
-    matrices : list of Entries
+    matrices : list of Triplets
         The matrix of all components, or one of each.
     inverse_diagonal : (n_owned, 1) float64
         ``1 / d``.
@@ -70,7 +70,7 @@ class NearInverse(ABC):
 
     direct: Mapping[int, int]
     x: Float
-    matrices: list[Entries]
+    matrices: list[Triplets]
     inverse_diagonal: Float
     most: int
 
@@ -121,12 +121,12 @@ class OfNearest(NearInverse):
             members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
             found = self._of_points(np.arange(n), ptr, members, cloud.volume[:n])
         rows, columns = cloud.row[found.row], cloud.row[found.col]
-        self.matrices = [Entries(rows, columns, found.data)]
+        self.matrices = [Triplets(rows, columns, found.data)]
         if len(cloud.sign):
             sign = np.ones((cloud.n_local, dim))
             sign[n:] = cloud.sign
             turned = sign[found.row] * sign[found.col] * found.data[:, None]
-            self.matrices = [Entries(rows, columns, turned[:, component]) for component in range(dim)]
+            self.matrices = [Triplets(rows, columns, turned[:, component]) for component in range(dim)]
 
     def restrict(self, values: Float) -> Float:
         return values
@@ -214,7 +214,7 @@ class OnGrid(NearInverse):
         nodal[self._order] = self._halo.with_ghosts(values)
         return self._grid.interpolate(nodal)[: self._n]
 
-    def _curvature(self, energies: Float, width: Float) -> list[Entries]:
+    def _curvature(self, energies: Float, width: Float) -> list[Triplets]:
         """Return the matrix of second derivatives, for each component if there are mirror planes (collective).
 
         ``energies`` (n_owned, functions) are those of ``x_m^2 / 2``, then of ``x_m x_n``.
@@ -290,14 +290,14 @@ class Differences(NamedTuple):
     held: Mask
 
 
-def _sum_of_squares(parts: Sequence[Differences], component: int) -> Entries:
+def _sum_of_squares(parts: Sequence[Differences], component: int) -> Triplets:
     """Return the matrix of ``sum w (T u)^2`` for a component."""
     found = []
     for T, weight, numbers, held in parts:
         free = T @ scipy.sparse.diags(1.0 - held[:, component])
         product = scipy.sparse.coo_matrix(free.T @ scipy.sparse.diags(weight[:, component]) @ free)
         found.append((numbers[product.row], numbers[product.col], product.data))
-    return Entries(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    return Triplets(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
 def near_inverses(system: ConformingSystem) -> Sequence[type[NearInverse]]:

@@ -9,9 +9,9 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
-from pdpetsc.gradient.near_inverse import Entries
+from pdpetsc.gradient.near_inverse import Triplets
 from pdpetsc.petsc.options import Options
-from pdpetsc.petsc.scalar import assembled
+from pdpetsc.petsc.sparse import assembled
 
 PREFIX = "heat_"
 RTOL = 1e-13
@@ -64,7 +64,7 @@ class ScalarMatrix:
         entries = of_rank.tocoo()
         rows, columns = cloud.row[entries.row], cloud.row[entries.col]
         sizes = (cloud.n_owned, cloud.n_global)
-        self._whole = assembled(cloud.comm, sizes, Entries(rows, columns, entries.data), 0.0)
+        self._whole = assembled(cloud.comm, sizes, Triplets(rows, columns, entries.data), 0.0)
         rows = (cloud.first + np.flatnonzero(held)).astype(PETSc.IntType)
         self.mat = self._whole.copy()
         # Isolated particles keep their value.

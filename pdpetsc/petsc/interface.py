@@ -8,8 +8,8 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import offset, total
-from pdpetsc.gradient.near_inverse import Entries
-from pdpetsc.petsc.scalar import assembled
+from pdpetsc.gradient.near_inverse import Triplets
+from pdpetsc.petsc.sparse import assembled
 from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.problem import Tangent
 
@@ -31,7 +31,7 @@ class Interface:
 
     Attributes
     ----------
-    on_nodes : Entries
+    on_nodes : Triplets
         ``I^T S I`` over the scale, with the global numbers of the unknowns of nodes.
 
     Notes
@@ -39,7 +39,7 @@ class Interface:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    on_nodes: Entries
+    on_nodes: Triplets
 
     def __init__(self, grid: BackgroundElements, free: Mask) -> None:
         self._body = grid.problem.body
@@ -83,7 +83,7 @@ class Interface:
         rest = [product for product in tangent.products if product.stiff() is None]
         return Tangent(self._body, rest), Tangent(self._body, stiff)
 
-    def _restricted(self) -> Entries:
+    def _restricted(self) -> Triplets:
         """Return ``I^T S I`` with the global numbers of the unknowns of nodes."""
         dim, nodes, weights = self._dim, self._nodes, self._weights
         known = np.union1d(self._S.row // dim, self._S.col // dim)
@@ -95,7 +95,7 @@ class Interface:
         ptr = np.arange(len(known) * dim + 1) * nodes.shape[1]
         P = scipy.sparse.csr_matrix((values.ravel(), at.ravel(), ptr), shape=(len(known) * dim, len(used) * dim))
         found = scipy.sparse.coo_matrix(P.T @ S @ P)
-        return Entries(
+        return Triplets(
             used[found.row // dim] * dim + found.row % dim, used[found.col // dim] * dim + found.col % dim, found.data
         )
 
@@ -105,7 +105,7 @@ class Interface:
         own = self._number[self._particles]
         axis = np.arange(dim)
         rows = np.broadcast_to((own[:, None] * dim + axis)[:, :, None], (len(own), dim, dim))
-        entries = Entries(
+        entries = Triplets(
             np.concatenate([self._number[S.row // dim] * dim + S.row % dim, rows.ravel()]),
             np.concatenate([self._number[S.col // dim] * dim + S.col % dim, rows.transpose(0, 2, 1).ravel()]),
             np.concatenate([S.data, blocks[self._particles].ravel()]),

@@ -17,7 +17,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.petsc.constrained import Constrained
 from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
 from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix, Preconditioning
-from pdpetsc.petsc.properties import PER_ENTRY
+from pdpetsc.petsc.sparse import PER_ENTRY
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
 from pdpetsc.problem.assembly import Assembler, Filler

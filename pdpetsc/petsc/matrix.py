@@ -12,7 +12,7 @@ from pdpetsc.discrete.sparsity import Sparsity, positions_of_own_blocks
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.petsc.combination import combination_matrix
 from pdpetsc.petsc.library import seq_blocks, values_of
-from pdpetsc.petsc.properties import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
+from pdpetsc.petsc.sparse import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import anywhere, largest
 from pdpetsc.petsc.matrix import TangentMatrix
-from pdpetsc.petsc.properties import set_symmetry
+from pdpetsc.petsc.sparse import set_symmetry
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.nearest_neighbours import NearAssembler

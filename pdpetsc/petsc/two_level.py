@@ -8,13 +8,12 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float, Mask, row_of_entries
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.near_inverse import Entries
+from pdpetsc.gradient.near_inverse import Triplets
 from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
-from pdpetsc.petsc.properties import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
-from pdpetsc.petsc.scalar import assembled
 from pdpetsc.petsc.shell import Shell
+from pdpetsc.petsc.sparse import PER_ENTRY, allocated_bytes, assembled, set_rigid_modes, set_symmetry
 from pdpetsc.problem.background_elements import BackgroundElements
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
@@ -123,8 +122,8 @@ class TwoLevel(Preconditioning):
         sizes = self.coarse.getSizes()[0]
         ptr, columns = self._rows
         rows = self._grid.first * self._problem.dim + row_of_entries(ptr)
-        parts = zip(Entries(rows, columns.astype(np.int64), values), self._interface.on_nodes, strict=True)
-        coarse = assembled(self.coarse.comm.tompi4py(), sizes, Entries(*(np.concatenate(part) for part in parts)), 0.0)
+        parts = zip(Triplets(rows, columns.astype(np.int64), values), self._interface.on_nodes, strict=True)
+        coarse = assembled(self.coarse.comm.tompi4py(), sizes, Triplets(*(np.concatenate(part) for part in parts)), 0.0)
         coarse.setBlockSize(self._problem.dim)
         self.coarse.destroy()
         self.coarse = coarse

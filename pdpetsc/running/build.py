@@ -64,8 +64,8 @@ from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Material
 from pdpetsc.material.energy_momentum import EnergyMomentum
 from pdpetsc.material.graded import Graded
+from pdpetsc.petsc.conforming import solve_conforming
 from pdpetsc.petsc.options import Options
-from pdpetsc.petsc.scalar import solve_conforming
 from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, DamageModel, make_damage

@@ -16,7 +16,7 @@ from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.surface import surface_of
 from pdpetsc.gradient import near_inverse
-from pdpetsc.petsc.scalar import solve_conforming
+from pdpetsc.petsc.conforming import solve_conforming
 from tests.commands import ROOT, jacobian_ratios, printed, python_on, results
 from tests.pairs import pairs
 

@@ -1,4 +1,4 @@
-"""The system of conforming weights, and sparse matrices whose entries ranks share."""
+"""Solution of the system of conforming weights."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
-import scipy
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, exchange, offset, owners, total
+from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.gradient.conforming_system import ConformingSystem
-from pdpetsc.gradient.near_inverse import Entries, NearInverse
+from pdpetsc.gradient.near_inverse import NearInverse
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.shell import Shell
+from pdpetsc.petsc.sparse import assembled
 
 # Shift of the diagonal of the preconditioner, as a share of it. It removes the null space of the preconditioner.
 LIFTED = 1e-8
@@ -43,8 +43,8 @@ class _Preconditioner:
         options.suggest(FACTOR if direct else MULTIGRID)
         vectors = _orthonormal(comm, [np.ones(n), *near.x.T])
         linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
-        for entries in near.matrices:
-            matrix = assembled(comm, (n, count), entries, LIFTED)
+        for triplets in near.matrices:
+            matrix = assembled(comm, (n, count), triplets, LIFTED)
             if not direct:
                 short = matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] < SHORT * count
                 options.suggest({"weights_pc_gamg_aggressive_coarsening": 0 if short else 1})
@@ -144,31 +144,6 @@ def solve_conforming(
     finally:
         for thing in (ksp, b, x, operator, null_space):
             thing.destroy()
-
-
-def assembled(comm: Comm, sizes: tuple[int, int], entries: Entries, lifted: float) -> PETSc.Mat:
-    """Assemble the sum of the entries of all ranks, with a diagonal shifted by ``lifted`` (collective).
-
-    ``sizes`` are the number of own rows and that of all rows.
-    """
-    first = offset(comm, sizes[0])
-    owner, _ = owners(comm, first, entries.rows)
-    (rows, columns, values), _ = exchange(comm, owner, list(entries))
-    own = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=sizes)
-    own.sum_duplicates()
-    csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
-    mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=comm)
-    if not lifted:
-        return mat
-    diagonal = mat.getDiagonal()
-    diagonal.scale(lifted)
-    diagonal.shift(float(diagonal.max()[1]) * lifted)
-    mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    mat.setDiagonal(diagonal, addv=True)
-    mat.assemble()
-    mat.setOption(PETSc.Mat.Option.SPD, True)
-    diagonal.destroy()
-    return mat
 
 
 def _orthonormal(comm: Comm, functions: Sequence[Float]) -> list[PETSc.Vec]:

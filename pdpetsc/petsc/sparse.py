@@ -1,15 +1,43 @@
-"""Properties of matrices: symmetry, near-null space and memory."""
+"""Sparse matrices: their assembly from entries of all ranks, symmetry, near-null space and memory."""
 
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, exchange, offset, owners
+from pdpetsc.gradient.near_inverse import Triplets
 from pdpetsc.problem.problem import Problem
 
 # Memory of an entry of a sparse matrix, a value and its column [bytes].
 PER_ENTRY = 8 + np.dtype(PETSc.IntType).itemsize
+
+
+def assembled(comm: Comm, sizes: tuple[int, int], triplets: Triplets, lifted: float) -> PETSc.Mat:
+    """Assemble the sum of the triplets of all ranks, with a diagonal shifted by ``lifted`` (collective).
+
+    ``sizes`` are the number of own rows and that of all rows.
+    """
+    first = offset(comm, sizes[0])
+    owner, _ = owners(comm, first, triplets.rows)
+    (rows, columns, values), _ = exchange(comm, owner, list(triplets))
+    own = scipy.sparse.csr_matrix((values, (rows - first, columns)), shape=sizes)
+    own.sum_duplicates()
+    csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
+    mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=comm)
+    if not lifted:
+        return mat
+    diagonal = mat.getDiagonal()
+    diagonal.scale(lifted)
+    diagonal.shift(float(diagonal.max()[1]) * lifted)
+    mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+    mat.setDiagonal(diagonal, addv=True)
+    mat.assemble()
+    mat.setOption(PETSc.Mat.Option.SPD, True)
+    diagonal.destroy()
+    return mat
 
 
 def allocated_bytes(*mats: PETSc.Mat) -> int:

@@ -86,7 +86,7 @@ from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.degraded_patches import failing_points
 from pdpetsc.terms.expansion import stress_free
-from pdpetsc.terms.heat import heat_of
+from pdpetsc.terms.heat import Heat, heat_of
 from pdpetsc.terms.lattice_bonds import LatticeBonds
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.mean_dilatation import material_points
@@ -331,23 +331,47 @@ class OfParticles:
         found = [one.density for one in self.materials]
         return None if None in found else np.array(found, dtype=float)[self.index]
 
+    @property
+    def factors(self) -> Float:
+        """Return the factor of the moduli of each owned particle, 1 if no material is graded (n_owned,) [-]."""
+        return np.ones(len(self.index)) if self.factor is None else self.factor
+
     def bond_stiffness(self, bonds: Neighbourhood, moduli: Sequence[float]) -> Float:
         """Return the stiffness of bonds for one Young's modulus per material (n_bonds,) (collective)."""
         alike = [
             BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, self.materials, strict=True)
         ]
-        factor = np.ones(len(self.index)) if self.factor is None else self.factor
-        return combine(bonds, alike, self.index, factor).k
+        return combine(bonds, alike, self.index, self.factors).k
 
 
 def _problem(case: Case, body: Body, materials: OfParticles, options: Options | None = None) -> Problem:
-    damage: DamageModel | None = None
+    """Return the problem of a body: its material with damage and control, conditions, temperature and motion."""
     if case.solver.conserving:
         materials = _conserving(case, materials)
+    material_term, others, damage, bonds = _material(case, body, materials, options)
+    state = None if damage is None or damage.of_bonds is None else damage.of_bonds.bonds
+    stops = case.steps.stops()
+    applied = apply(
+        body, material_term, case.conditions, case.particles, stops, materials.density, state, case.duration
+    )  # fmt: skip
+    heat = _heat(case, body, material_term, materials, applied, bonds, damage)
+    extra = [build_extra(declared, number, body) for number, declared in enumerate(case.terms, 1)]
+    conduction = [] if heat is None else [heat]
+    terms = [*others, *applied.terms, *extra, *conduction]
+    problem = Problem(body, material_term, terms, applied.supports, damage, case.duration)
+    for one in conduction:
+        problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
+    _set_motion(case, problem, materials, applied)
+    return problem
+
+
+def _material(
+    case: Case, body: Body, materials: OfParticles, options: Options | None
+) -> tuple[MaterialTerm, list[Term], DamageModel | None, Neighbourhood | None]:
+    """Return the term of the material, that of a control, damage, and the bonds unless families are shared."""
+    bonds, lattice = None, body.families.lattice
     material_term: MaterialTerm
-    others: list[Term]
-    bonds: Neighbourhood | None = None
-    lattice = body.families.lattice
+    damage: DamageModel | None
     if lattice is not None:
         made = _repeated_bonds if case.of_bonds else _repeated_points
         material_term, others, damage = made(case, body, lattice, materials)
@@ -360,43 +384,44 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
             "Strain-based criteria use the total strain and cannot be combined with thermal strain or eigenstrain. "
             "Use a stretch, energy or stress criterion."
         )
-    state = None if damage is None or damage.of_bonds is None else damage.of_bonds.bonds
-    stops = case.steps.stops()
-    applied = apply(
-        body, material_term, case.conditions, case.particles, stops, materials.density, state, case.duration
-    )  # fmt: skip
-    supports, heat = applied.supports, None
-    if case.expands:
-        if case.heat is not None:
-            assert bonds is not None
-            operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
-            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
-        field = None if heat is None else heat.field
-        body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
-    extra = []
-    for number, declared in enumerate(case.terms, 1):
-        extra.append(build_extra(declared, number, body))
-    conduction = [] if heat is None else [heat]
-    terms = [*others, *applied.terms, *extra, *conduction]
-    problem = Problem(body, material_term, terms, supports, damage, case.duration)
-    for one in conduction:
-        problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
+    return material_term, others, damage, bonds
+
+
+def _heat(
+    case: Case, body: Body, material_term: MaterialTerm, materials: OfParticles, applied: Applied,
+    bonds: Neighbourhood | None, damage: DamageModel | None,
+) -> Heat | None:  # fmt: skip
+    """Return the heat conduction, None without; set the stress-free deformation of a body that expands."""
+    if not case.expands:
+        return None
+    heat = None
+    if case.heat is not None:
+        assert bonds is not None
+        operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
+        heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
+    field = None if heat is None else heat.field
+    body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
+    return heat
+
+
+def _set_motion(case: Case, problem: Problem, materials: OfParticles, applied: Applied) -> None:
+    """Give the problem the inertia of its solver, or springs on loose particles; refuse motions without inertia."""
     if case.solver.duration is not None:
         problem.inertia = _inertia(case, problem, materials, applied)
         _refuse_turning(case, problem)
         problem.inertia.carry([rigid for _, rigid in problem.rigid_bodies])
         problem.terms.append(problem.inertia)
         problem.last_step = None  # time steps start from the velocity
-        return problem
+        return
     if isinstance(case.solver, SnapThrough):
         problem.snap_inertia = _inertia(case, problem, materials, applied)
     if moves := applied.moves or (applied.damps if problem.snap_inertia is None else ""):
         or_snaps = " or, for damping of snaps, pd.SnapThrough(...)" if applied.damps and not applied.moves else ""
         raise CaseError(f"{moves} needs inertia. Use solver=pd.Explicit(...), pd.Implicit(...){or_snaps}.")
-    if damage is not None and damage.of_bonds is not None:  # failed points retain a residual stiffness
-        problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
+    if problem.bond_damage is not None:  # failed points retain a residual stiffness
+        scales = scales_of(problem.body, problem.material_term)
+        problem.springs = LooseSprings(problem.body, problem.material_term, scales.stiffness)
         problem.terms.append(problem.springs)
-    return problem
 
 
 def _conserving(case: Case, materials: OfParticles) -> OfParticles:
@@ -470,8 +495,7 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
         if case.of_bonds:
             raise CaseError("BulkViscosity needs deformation gradients, which a bond-based body does not have.")
         A = elastic_moduli(materials, cloud.dim)[:, 0, 0, 0, 0]
-        factor = 1.0 if materials.factor is None else materials.factor
-        inertia.viscosity = ViscousPressure(applied.viscosity, problem, density, factor * A[materials.index])
+        inertia.viscosity = ViscousPressure(applied.viscosity, problem, density, materials.factors * A[materials.index])
     return inertia
 
 
@@ -491,8 +515,7 @@ def _dashpots(body: Body, materials: OfParticles, density: Float, mask: Mask) ->
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]
     A = elastic_moduli(materials, dim)[materials.index[owner]]
-    factor = np.ones(len(density)) if materials.factor is None else materials.factor
-    Q = (factor * density)[owner, None, None] * np.einsum("fimkn,fm,fn->fik", A, normal, normal)
+    Q = (materials.factors * density)[owner, None, None] * np.einsum("fimkn,fm,fn->fik", A, normal, normal)
     squares, axes = np.linalg.eigh(Q)
     dashpots = np.einsum("fij,fj,fkj->fik", axes, np.sqrt(np.maximum(squares, 0.0)), axes)
     found = np.zeros((len(density), dim, dim))

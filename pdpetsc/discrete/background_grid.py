@@ -9,7 +9,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import ask, offset, total
+from pdpetsc.discrete.communicator import ask, bounds, offset, total
 from pdpetsc.discrete.components import least_labels, rigid_at
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.background import interpolate_kernel, join_corners, join_within_cells, restrict_kernel
@@ -47,8 +47,7 @@ class Cells:
     def of(cls, cloud: Cloud, wanted: float) -> Cells:
         """Build cells about ``wanted`` wide [length] over the particles of all ranks (collective)."""
         x, dim = cloud.x[: cloud.n_owned], cloud.dim
-        ends = np.array(cloud.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf))))
-        low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
+        low, high = bounds(cloud.comm, x)
         bound = np.zeros((2, dim), dtype=bool)
         periodic = np.zeros(dim, dtype=bool)
         for axis, at in cloud.places.planes.items():

@@ -129,6 +129,12 @@ def bounds(comm: Comm, x: NDArray[Any]) -> NDArray[Any]:
     return np.stack([-low, high])
 
 
+def near_ranks(comm: Comm, own: NDArray[Any], x: NDArray[Any], reach: float) -> list[GlobalIndex]:
+    """Return, for each rank, which points ``x`` are within a reach of the box around its ``own`` ones (collective)."""
+    ends = own.min(axis=0, initial=np.inf) - reach, own.max(axis=0, initial=-np.inf) + reach
+    return [np.flatnonzero(np.all((x >= low) & (x <= high), axis=1)) for low, high in comm.allgather(ends)]
+
+
 def _reduced(comm: Comm, values: Any, operation: MPI.Op) -> NDArray[Any]:
     mine = np.ascontiguousarray(values).reshape(np.shape(values))
     result = np.empty_like(mine)

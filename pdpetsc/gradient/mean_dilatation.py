@@ -9,7 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, smallest
+from pdpetsc.discrete.communicator import Comm, bounds, largest
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Patches, Scheme
@@ -120,9 +120,9 @@ def boxes(comm: Comm, x: Float, edge: float) -> GlobalIndex:
     -----
     Collective.
     """
-    low = np.array([smallest(comm, x[:, axis].min(initial=np.inf)) for axis in range(x.shape[1])])
+    low, _ = bounds(comm, x)
     at = np.floor((x - low) / edge + BEFORE)
-    most = -smallest(comm, -float(at.max(initial=0.0)))
+    most = largest(comm, float(at.max(initial=0.0)))
     if not most < 2.0**31:
         raise CaseError(f"Patches with edges of {edge:g} are {most:.3g} along an axis; take patches of two spacings.")
     found: GlobalIndex = at.astype(np.int64)

@@ -12,7 +12,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries, starts_of
 from pdpetsc.discrete.background_grid import LEAST_WIDTH, BackgroundGrid
-from pdpetsc.discrete.communicator import exchange, largest, owners, total
+from pdpetsc.discrete.communicator import exchange, largest, owners, smallest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.gradient.conforming_system import ConformingSystem
@@ -305,6 +305,6 @@ def near_inverses(system: ConformingSystem) -> Sequence[type[NearInverse]]:
     cloud = system.cloud
     here = cloud.local_horizon[: cloud.n_owned]
     widest = largest(cloud.comm, float(here.max(initial=0.0)))
-    narrowest = -largest(cloud.comm, float(-here.min(initial=np.inf)))
+    narrowest = smallest(cloud.comm, float(here.min(initial=np.inf)))
     alike = widest <= UNIFORM * narrowest
     return [OnGrid, OfNearest] if cloud.dim > 1 and alike and system.mean_members > ENOUGH else [OfNearest]

@@ -34,6 +34,7 @@ from pdpetsc.discrete.communicator import (
     agreed,
     alone,
     anywhere,
+    bounds,
     count_nonzero,
     is_root,
     largest,
@@ -180,8 +181,8 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
         least = repeated_share(case)
     if least is None:
         return 1.0
-    ends = np.array(comm.allgather((x.min(axis=0), x.max(axis=0))))
-    longest = float((ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)).max())
+    low, high = bounds(comm, x)
+    longest = float((high - low).max())
     listed = min(1.0, 2.0 * float(reach) / longest) if longest > 0.0 else 1.0
     return listed if 1.0 - listed >= least else 1.0
 

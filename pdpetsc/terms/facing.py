@@ -11,7 +11,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of, row_of_entries, starts_of
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, anywhere, exchange, largest
+from pdpetsc.discrete.communicator import agreed, anywhere, exchange, largest, near_ranks
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.overlap import (
@@ -316,15 +316,10 @@ def _corners(surface: Surface, thickness: float, depth: float, name: str) -> Flo
 def _received(cloud: Cloud, mine: Side, theirs: Side, reach: float) -> Side:
     """Return the facets of all ranks and their images within a reach of the box around the own facets (collective)."""
     comm, dim = cloud.comm, cloud.dim
-    box = np.concatenate([mine.x.min(axis=0, initial=np.inf), mine.x.max(axis=0, initial=-np.inf)])
-    boxes = np.array(comm.allgather(box))
     ranks, facets, entries = [], [], []
     for behind, (sign, to) in enumerate(zip(*cloud.places.mirrors, strict=True)):
         x = sign * theirs.x + to
-        near = [
-            np.flatnonzero(np.all((x >= low - reach) & (x <= high + reach), axis=1))
-            for low, high in zip(boxes[:, :dim], boxes[:, dim:], strict=True)
-        ]
+        near = near_ranks(comm, mine.x, x, reach)
         rows = np.concatenate(near)
         entry, ptr = entries_of(theirs.ptr, rows)
         members = theirs.members[entry]

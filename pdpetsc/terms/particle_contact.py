@@ -10,7 +10,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero, exchange, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero, exchange, largest, near_ranks, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
@@ -123,15 +123,11 @@ class ParticleContactForces(Term):
 
         ``further`` is the distance by which two particles may come nearer [length] (collective).
         """
-        cloud, comm, dim, n = self.body.cloud, self.body.cloud.comm, self.body.dim, self.body.cloud.n_owned
+        cloud, comm, n = self.body.cloud, self.body.cloud.comm, self.body.cloud.n_owned
         reach = self._distance + SLACK * self._spacing + further
         own, y = self._rows, cloud.x[:n] + u
-        box = np.concatenate([y[own].min(axis=0, initial=np.inf), y[own].max(axis=0, initial=-np.inf)])
-        boxes = np.array(comm.allgather(box))
-        sent = [
-            own[np.all((y[own] >= low - reach) & (y[own] <= high + reach), axis=1)] if rank != comm.rank else own[:0]
-            for rank, (low, high) in enumerate(zip(boxes[:, :dim], boxes[:, dim:], strict=True))
-        ]
+        sent = [own[near] for near in near_ranks(comm, y[own], y[own], reach)]
+        sent[comm.rank] = own[:0]
         rows = np.concatenate(sent)
         rank = np.repeat(np.arange(comm.size), [len(one) for one in sent])
         arrays = [rows, cloud.gid[rows], cloud.x[rows], cloud.volume[rows], y[rows]]

@@ -77,10 +77,8 @@ class BodyContactForces(FacetContact):
             self._bodies = 1 + int(largest(cloud.comm, float(cloud.body.max(initial=0))))
             self._body_of_other = cloud.body[theirs.particle]
         first = np.unique(self._part, return_index=True)[1]
-        super().__init__(
-            body, np.repeat(mine.owner[first], self._bodies), declared.friction, stiffness, spacing,
-            declared.penetration, f"{named[0][0].upper()}{named[0][1:]} of {name}", named[1], declared.name,
-        )  # fmt: skip
+        owner, title = np.repeat(mine.owner[first], self._bodies), f"{named[0][0].upper()}{named[0][1:]} of {name}"
+        super().__init__(body, declared, owner, stiffness, spacing, title, named[1])
         self.symmetric = False
         self.works = self._mu > 0.0
         # Spacing at the facets of both sides: thin walls are not thinner than this.

@@ -57,10 +57,7 @@ class ContactForces(FacetContact):
     ) -> None:  # fmt: skip
         facets = ChosenFacets(body.known_surface, mask)
         title = f"The tool of {name}"
-        super().__init__(
-            body, facets.stencils.owner, declared.friction, stiffness, spacing, declared.penetration, title,
-            "the body", declared.name,
-        )  # fmt: skip
+        super().__init__(body, declared, facets.stencils.owner, stiffness, spacing, title, "the body")
         self._tool = declared.tool
         self._moving = RigidBody(declared.tool, body.cloud.comm, body.dim, self._owner, title)
         self.rigid = self._moving if declared.tool.loaded else None

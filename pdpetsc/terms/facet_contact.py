@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of, row_of_entries
+from pdpetsc.declare.body_contact import BodyContact
+from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
@@ -136,16 +138,16 @@ class FacetContact(Term):
     ----------
     body : Body
         Particles with their surface.
+    declared : Contact or BodyContact
+        Declared contact.
     owner : (n,) int32
         Own particle of each multiplier, ascending.
-    friction : float
-        ``mu`` [-].
     stiffness : float
         ``c`` [stress / length].
-    spacing, penetration : float
-        Mean spacing of the particles [length], and the largest penetration over it [-].
-    title, into, name : str
-        What touches and what it touches, in messages, and prefix of the columns in the history.
+    spacing : float
+        Mean spacing of the particles [length].
+    title, into : str
+        What touches and what it touches, in messages.
 
     Notes
     -----
@@ -158,12 +160,13 @@ class FacetContact(Term):
     horizons = 2
 
     def __init__(
-        self, body: Body, owner: LocalIndex, friction: float, stiffness: float, spacing: float, penetration: float,
-        title: str, into: str, name: str,
+        self, body: Body, declared: Contact | BodyContact, owner: LocalIndex, stiffness: float, spacing: float,
+        title: str, into: str,
     ) -> None:  # fmt: skip
-        self.body, self._title, self._into, self._name = body, title, into, name
-        self._mu, self._c, self._spacing, self._allowed = friction, stiffness, spacing, penetration * spacing
-        self.symmetric = friction == 0.0
+        self.body, self._title, self._into, self._name = body, title, into, declared.name
+        self._mu, self._c, self._spacing = declared.friction, stiffness, spacing
+        self._allowed = declared.penetration * spacing
+        self.symmetric = self._mu == 0.0
         self._owner = owner
         # Tangential tractions at the start of this step, and at its end after it has converged.
         self._tau, self._tau_end = np.zeros((2, len(owner), body.dim))

@@ -225,13 +225,10 @@ def distribute(
     refuse_beyond(comm, planes, x, reach)
     number_of = np.zeros(len(x), dtype=np.int64) if body is None else body
     further = np.array(np.broadcast_to(np.asarray(beyond, dtype=float), len(x)))
-    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach, number_of, further]
-    (x, volume, gid, flags, reach, number_of, further), _ = exchange(
-        comm, bisect(comm, x if together is None else together), arrays
-    )
-    order = _near_in_memory(x, gid, reach)
-    x, volume, gid, flags, reach = x[order], volume[order], gid[order], flags[order], reach[order]
-    number_of, further = number_of[order], further[order]
+    part = bisect(comm, x if together is None else together)
+    arrays, _ = exchange(comm, part, [x, gid, reach, volume, np.ascontiguousarray(flags), number_of, further])
+    order = _near_in_memory(*arrays[:3])
+    x, gid, reach, volume, flags, number_of, further = (array[order] for array in arrays)
     widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))
     n_owned = len(x)
     first = offset(comm, n_owned)

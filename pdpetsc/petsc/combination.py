@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from petsc4py import PETSc
 
+from pdpetsc.petsc.sparse import size_of
 from pdpetsc.problem.supports import Supports
 
 
@@ -17,8 +18,7 @@ def combination_matrix(supports: Supports) -> PETSc.Mat:
     """
     ties, cloud = supports.ties, supports.body.cloud
     assert ties is not None
-    dim, width = cloud.dim, (cloud.n_global + cloud.n_virtual_global) * cloud.dim
-    tied = ties.all
+    dim, size, tied = cloud.dim, size_of(cloud), ties.all
     on_terms = np.repeat(tied.particle.astype(np.int64) * dim + tied.axis, np.diff(tied.ptr))
     depends = tied.row * dim + tied.of_axis
     # Prescribed components are part of g.
@@ -27,7 +27,6 @@ def combination_matrix(supports: Supports) -> PETSc.Mat:
     rows = np.concatenate([own, on_terms])
     columns = np.concatenate([own + cloud.first * dim, depends])
     values = np.concatenate([np.where(supports.fixed.ravel(), 0.0, 1.0), coefficient])
-    csr = scipy.sparse.coo_array((values, (rows, columns)), shape=(supports.fixed.size, width)).tocsr()
+    csr = scipy.sparse.coo_array((values, (rows, columns)), shape=size).tocsr()
     arrays = csr.indptr.astype(PETSc.IntType), csr.indices.astype(PETSc.IntType), csr.data
-    size = (supports.fixed.size, width)
     return PETSc.Mat().createAIJ((size, size), bsize=dim, csr=arrays, comm=cloud.comm)

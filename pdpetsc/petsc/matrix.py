@@ -12,7 +12,7 @@ from pdpetsc.discrete.sparsity import Sparsity, positions_of_own_blocks
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.petsc.combination import combination_matrix
 from pdpetsc.petsc.library import seq_blocks, values_of
-from pdpetsc.petsc.sparse import PER_ENTRY, allocated_bytes, set_rigid_modes, set_symmetry
+from pdpetsc.petsc.sparse import PER_ENTRY, allocated_bytes, block_matrix, set_rigid_modes, set_symmetry, size_of
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
@@ -151,10 +151,7 @@ def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
     row_ptr = np.empty(cloud.n_rows * dim + 1, dtype=PETSc.IntType)
     scalar = np.empty(len(columns) * dim * dim, dtype=PETSc.IntType)
     scalar_rows(block_ptr, columns, dim, row_ptr, scalar)
-    size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
-    mat = PETSc.Mat().create(comm=cloud.comm)
-    mat.setSizes((size, size), bsize=dim)
-    mat.setType("aij")
+    mat = block_matrix(cloud.comm, size_of(cloud), dim)
     mat.setPreallocationCSR((row_ptr, scalar))
     _describe(mat, problem)
     return mat

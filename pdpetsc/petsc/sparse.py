@@ -7,12 +7,26 @@ import scipy
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, exchange, offset, owners
 from pdpetsc.gradient.near_inverse import Triplets
 from pdpetsc.problem.problem import Problem
 
 # Memory of an entry of a sparse matrix, a value and its column [bytes].
 PER_ENTRY = 8 + np.dtype(PETSc.IntType).itemsize
+
+
+def size_of(cloud: Cloud) -> tuple[int, int]:
+    """Return the number of own unknowns, and of those of all ranks."""
+    return cloud.n_rows * cloud.dim, (cloud.n_global + cloud.n_virtual_global) * cloud.dim
+
+
+def block_matrix(comm: Comm, size: tuple[int, int], dim: int) -> PETSc.Mat:
+    """Return an AIJ matrix in blocks of ``dim`` without entries, of this number of own and of all rows (collective)."""
+    mat = PETSc.Mat().create(comm=comm)
+    mat.setSizes((size, size), bsize=dim)
+    mat.setType("aij")
+    return mat
 
 
 def assembled(comm: Comm, sizes: tuple[int, int], triplets: Triplets, lifted: float) -> PETSc.Mat:

@@ -13,9 +13,17 @@ from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.shell import Shell
-from pdpetsc.petsc.sparse import PER_ENTRY, allocated_bytes, assembled, set_rigid_modes, set_symmetry
+from pdpetsc.petsc.sparse import (
+    PER_ENTRY,
+    allocated_bytes,
+    assembled,
+    block_matrix,
+    set_rigid_modes,
+    set_symmetry,
+    size_of,
+)
 from pdpetsc.problem.background_elements import BackgroundElements
-from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.problem import Tangent
 from pdpetsc.problem.state import State
 
 # Largest number of coarse unknowns that are solved directly, by dimension.
@@ -52,18 +60,15 @@ class TwoLevel(Preconditioning):
         self._problem = problem = grid.problem
         dim, comm = problem.dim, problem.body.cloud.comm
         self.diagonal = np.zeros(fixed.size)
-        self.mat = _block_diagonal(problem)
-        size = (grid.n_own * dim, grid.n_global * dim)
-        self.coarse = PETSc.Mat().create(comm=comm)
-        self.coarse.setSizes((size, size), bsize=dim)
-        self.coarse.setType("aij")
+        fine, size = size_of(problem.body.cloud), (grid.n_own * dim, grid.n_global * dim)
+        self.mat, self.coarse = block_matrix(comm, fine, dim), block_matrix(comm, size, dim)
+        self.mat.setPreallocationNNZ((dim, 0))
         row_ptr, columns = grid.rows
         self._rows = row_ptr.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         self.coarse.setPreallocationCSR(self._rows)
         for mat in (self.mat, self.coarse):
             set_symmetry(mat, problem)
         set_rigid_modes(self.coarse, grid.rigid_modes())
-        fine = (problem.body.cloud.n_rows * dim, self.mat.getSize()[0])
         self._interpolation = PETSc.Mat().createPython(
             (fine, size), context=_Interpolation(grid, self.coarse), comm=comm
         )
@@ -221,17 +226,6 @@ class _Interpolation:
         """Free the PETSc objects; called by PETSc with the last use of the matrix."""
         self._scatter.destroy()
         self._nodal.destroy()
-
-
-def _block_diagonal(problem: Problem) -> PETSc.Mat:
-    """Build an AIJ matrix with blocks on its diagonal only (collective)."""
-    cloud, dim = problem.body.cloud, problem.dim
-    size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
-    mat = PETSc.Mat().create(comm=cloud.comm)
-    mat.setSizes((size, size), bsize=dim)
-    mat.setType("aij")
-    mat.setPreallocationNNZ((dim, 0))
-    return mat
 
 
 def _blocks_of_virtual(tangent: Tangent) -> Float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of, row_of_entries
+from pdpetsc.arrays import Float, Mask, entries_of, row_of_entries
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.kernels.sparsity import sum_by
@@ -49,13 +49,3 @@ class ChosenFacets:
     def spread(self, force: Float, f: Float) -> None:
         """Subtract forces on the facets (n_facets, dim) from a residual of local particles (n_local, dim)."""
         np.add.at(f, self.stencils.members, -self.N[:, None] * force[self.of])
-
-
-def by_component(stencils: StencilMembers, dim: int) -> tuple[StencilMembers, GlobalIndex, GlobalIndex, GlobalIndex]:
-    """Return one stencil for each component of each stencil; and the entry, stencil and component of its entries."""
-    n = len(stencils.owner)
-    which, axis = np.repeat(np.arange(n), dim), np.tile(np.arange(dim), n)
-    entry, ptr = entries_of(stencils.point_ptr, which)
-    sizes = np.diff(ptr)
-    members = StencilMembers(stencils.owner[which], ptr, stencils.members[entry])
-    return members, entry, np.repeat(which, sizes), np.repeat(axis, sizes)

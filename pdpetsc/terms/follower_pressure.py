@@ -10,10 +10,10 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.declare.conditions import FollowerPressure
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import case_errors
-from pdpetsc.gradient.products import Product, RankOneProduct
+from pdpetsc.gradient.products import FacetProduct, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.terms.chosen_facets import ChosenFacets, by_component
+from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.cofactor import cofactor, cofactor_by_F
 from pdpetsc.terms.following_load import FollowingLoad
 
@@ -76,13 +76,11 @@ class PressureOnDeformed(FollowingLoad):
         self._facets.spread(-self._pressure(state.t)[:, None] * self._areas(state), f)
 
     def linearise(self, state: State) -> Sequence[Product]:
-        """Return one stencil for each component of the force of each facet."""
-        dim = self.body.dim
+        """Return the change of the force of each facet, component by component."""
+        facets, dim = self._facets, self.body.dim
         if dim == 1:
             return []
-        change = np.einsum("fiJkL,fJ->fikL", cofactor_by_F(self._gradients(state)), self._facets.area)
-        members, entry, of, row = by_component(self._facets.stencils, dim)
-        g = np.einsum("ekL,eL->ek", change[of, row], self._G[entry])
-        h = self._facets.N[entry, None] * np.eye(dim)[row]
-        p = np.repeat(self._pressure(state.t), dim)
-        return [RankOneProduct(members, self.body.cloud.n_owned, h, np.ascontiguousarray(g), p)]
+        change = np.einsum("fiJkL,fJ->fikL", cofactor_by_F(self._gradients(state)), facets.area)
+        h = (facets.N * self._pressure(state.t)[facets.of])[:, None, None] * np.eye(dim)
+        g = np.ascontiguousarray(np.einsum("eikL,eL->eik", change[facets.of], self._G))
+        return [FacetProduct(facets.stencils, self.body.cloud.n_owned, h, g)]

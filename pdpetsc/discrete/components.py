@@ -10,7 +10,7 @@ import scipy
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import anywhere, total
-from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.families import Families, with_pairs
 from pdpetsc.errors import CaseError
 
 # A rigid motion is free if the supports resist it by less than this share of the most resisted one.
@@ -28,11 +28,11 @@ def find_pieces(cloud: Cloud, families: Families, joined: LocalIndex | None = No
     -----
     Collective.
     """
-    bonds = families.connecting()
+    bonds = families.connecting
     if joined is not None:
-        bonds = np.concatenate([bonds[0], joined[:, 0]]), np.concatenate([bonds[1], joined[:, 1]])
+        bonds, _ = with_pairs(bonds, np.empty(0, dtype=bool), joined)
     graph = scipy.sparse.coo_matrix(
-        (np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local)
+        (np.ones(bonds.n_bonds, dtype=np.int8), (bonds.centres, bonds.neighbours)), shape=(cloud.n_local,) * 2
     )
     _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return np.asarray(least_labels(cloud, group)[: cloud.n_owned])
@@ -92,10 +92,10 @@ def refuse_rigid_motion(
     held = np.stack([resisted(mode) for mode in np.moveaxis(modes, 2, 0)], axis=2)
     gram = np.zeros((len(labels), n_modes, n_modes))
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
-    centres, members = families.connecting()
-    across = np.flatnonzero(cloud.places.behind(cloud.place[members]))
-    across_mirrors = _torn_by_mirrors(cloud, members[across])
-    np.add.at(gram, index[centres[across]], np.einsum("nia,nib->nab", across_mirrors, across_mirrors))
+    bonds = families.connecting
+    across = np.flatnonzero(cloud.places.behind(cloud.place[bonds.neighbours]))
+    across_mirrors = _torn_by_mirrors(cloud, bonds.neighbours[across])
+    np.add.at(gram, index[bonds.centres[across]], np.einsum("nia,nib->nab", across_mirrors, across_mirrors))
     sums: dict[int, Float] = {}
     for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
         for piece, matrix in part.items():

@@ -55,12 +55,8 @@ class Families:
         families_with_any(self.indptr, self.neighbours, marked, found)
         return found
 
-    def connecting(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return both particles of bonds (n,) with the same connectivity as all bonds together."""
-        return self.centres, self.neighbours
-
     @property
-    def connecting_families(self) -> Families:
+    def connecting(self) -> Families:
         """Return families with the same connectivity as all bonds: these, or smaller ones."""
         return self
 
@@ -163,16 +159,12 @@ class LatticeFamilies(Families):
         """Return which own particles have a marked member in their family, without listing the bonds."""
         return self._of.with_any(marked)
 
-    def connecting(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return the bonds of irregular families, and of the others the bonds along the axes of the lattice.
+    @property
+    def connecting(self) -> Families:
+        """Return irregular families, and of the others the bonds along the axes of the lattice.
 
         A member that steps along the axes reach from the centre within the family is connected through other members.
         """
-        return self._of.connecting()
-
-    @cached_property
-    def connecting_families(self) -> Families:
-        """Return families with the bonds of ``connecting``."""
         centres, members = self._of.connecting()
         order = np.argsort(centres, kind="stable")
         count = np.bincount(centres, minlength=self._of.cloud.n_owned)

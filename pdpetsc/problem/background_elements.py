@@ -54,7 +54,7 @@ class BackgroundElements(BackgroundGrid, Filler):
         self.problem = problem
         cloud, damage = problem.body.cloud, problem.bond_damage
         kept = np.empty(0, dtype=bool) if damage is None else damage.bonds.intact
-        bonds, kept = with_pairs(problem.body.families.connecting_families, kept, problem.joined)
+        bonds, kept = with_pairs(problem.body.families.connecting, kept, problem.joined)
         width = max(cloud.horizon, LEAST_WIDTH * mean_spacing(problem.body))
         super().__init__(cloud, bonds, kept, width, ~problem.supports.fixed)
         self._set_pattern()

@@ -197,8 +197,8 @@ def test_beside_a_crack_families_repeat_and_no_bond_crosses_it():
     lattice, x = shared.body.families.lattice, shared.body.cloud.x
     beside = (np.abs(x[:, 1] - 9.3) < 1.0) & (np.abs(x[:, 0] - 13.0) < 8.0)
     assert lattice.shared[beside].all()
-    centres, members = shared.body.families.connecting()
-    assert not ((x[centres, 1] - 9.3) * (x[members, 1] - 9.3) < 0.0).any()
+    bonds = shared.body.families.connecting
+    assert not ((x[bonds.centres, 1] - 9.3) * (x[bonds.neighbours, 1] - 9.3) < 0.0).any()
 
 
 @pytest.mark.usefixtures("few")

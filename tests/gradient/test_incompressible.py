@@ -199,8 +199,8 @@ def test_layers_that_share_a_box_have_dilatations_of_their_own(layers, rng):
     material_term = pd.prepare(case).problem.material_term
     y = material_term.body.cloud.x[material_term.operator.owner, 1]
     lowest, highest = (
-        np.full(len(material_term._patches.owner), np.inf),
-        np.full(len(material_term._patches.owner), -np.inf),
+        np.full(len(material_term.patches.owner), np.inf),
+        np.full(len(material_term.patches.owner), -np.inf),
     )
     np.minimum.at(lowest, material_term.patch_of_point, y)
     np.maximum.at(highest, material_term.patch_of_point, y)

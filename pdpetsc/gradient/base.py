@@ -151,14 +151,9 @@ class GradientOperator(StencilMembers):
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses.
 
-        If ``same`` is present, also add the forces of this control on the same gradient. ``adds_together`` must accept
-        it.
+        If ``same`` is present, also add the forces of this control on the same gradient, found for this operator.
         """
         add_divergence(self, self.g, P, f, same)
-
-    def adds_together(self, same: SameGradient | None) -> bool:
-        """Return True if ``divergence`` can add the forces of a control together with those of stresses."""
-        return isinstance(same, BondGradient)
 
     @property
     def listed(self) -> GradientOperator:
@@ -324,12 +319,12 @@ def add_divergence(
     operator: GradientOperator, h: Float, P: Float, f: Float, same: ControlledGradient | None = None
 ) -> None:
     """Add ``sum_p W_p P_p h_pk`` to ``f`` (n_local, dim), and the forces of a control on the gradient."""
-    dim, listed = f.shape[1], None if same is None else same.control
-    data = operator.point_ptr, operator.members, h, operator.volume, P, f
-    if same is None or not isinstance(listed, BondGradient):
+    dim, data = f.shape[1], (operator.point_ptr, operator.members, h, operator.volume, P, f)
+    if same is None:
         divergence_kernel(dim)(*data, *NO_CONTROL, P, f)
     else:
-        divergence_kernel(dim, 1)(*data, listed.stiffness, listed.K, same.H, same.u)
+        assert isinstance(same.control, BondGradient)
+        divergence_kernel(dim, 1)(*data, same.control.stiffness, same.control.K, same.H, same.u)
 
 
 class PointLoop(ABC):

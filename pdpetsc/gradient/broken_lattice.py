@@ -79,14 +79,10 @@ class BrokenLatticeGradient(ListedOnUse):
         return H
 
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
-        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control on the same gradient."""
         control, u = (None, None) if same is None else (same.control, same.u)
         assert control is None or isinstance(control, RowSprings)
         self.add_forces(self.families.everyone, P.reshape(len(P), -1), NO_SETS, control, u, f)
-
-    def adds_together(self, same: SameGradient | None) -> bool:
-        """Return True if a control has the same steps."""
-        return isinstance(same, RowSprings)
 
     def same_gradient(self, springs: Springs) -> SameGradient | None:
         """Return the control family by family; families with other stiffnesses have their own loop."""

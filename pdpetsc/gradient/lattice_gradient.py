@@ -23,6 +23,7 @@ from pdpetsc.gradient.base import (
     Moduli,
     PointLoop,
     SameGradient,
+    Springs,
 )
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
@@ -196,17 +197,18 @@ class LatticeGradient(ListedOnUse):
         return H
 
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
-        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control on the same gradient."""
         own, control, u, of_irregular = self.lattice.irregular, None, None, None
-        if same is not None and isinstance(same.control, LatticeSharedGradient):
+        if same is not None:
+            assert isinstance(same.control, LatticeSharedGradient)
             control, u = same.control, same.u
             of_irregular = ControlledGradient(control.irregular, self.of_irregular(same.H), u[own.local])
         own.add(f, lambda forces: self.irregular.divergence(self.of_irregular(P), forces, of_irregular))
         add_row_forces(self.lattice, self.lattice.whole, self.weights, self.row_points(P), control, u, f)
 
-    def adds_together(self, same: SameGradient | None) -> bool:
-        """Return True if a control uses the same patterns as the weights."""
-        return isinstance(same, LatticeSharedGradient)
+    def same_gradient(self, springs: Springs) -> SameGradient | None:
+        """Return None: only controls with the same patterns as the weights share the loop, and they find it."""
+        return None
 
     def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
         """Return ``G^T (W A) G``; if forces have other weights ``h``, list all weights."""

@@ -228,7 +228,7 @@ class MaterialPoints(MaterialTerm):
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
         """Add the forces of a control on the same gradient in the same loop."""
         control = other.control_of(self.operator, state)
-        if control is None or not self.operator.adds_together(control):
+        if control is None:
             return False
         same = ControlledGradient(control, self.point_gradient(state) - np.eye(self.body.dim), state.u_local)
         self.operator.divergence(self.stress(state), f, same)

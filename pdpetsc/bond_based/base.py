@@ -86,7 +86,7 @@ class Neighbourhood:
             inside = found.along[:, 0]
         else:
             moment = self.moment(1) / self.relative_size(1)
-            inside = moment >= (1.0 - LARGEST) * largest(cloud.comm, float(moment.max(initial=0.0)))
+            inside = moment >= (1.0 - LARGEST) * largest(cloud.comm, moment, initial=0.0)
         volume = np.where(inside, cloud.volume[: cloud.n_owned], 0.0)
         return np.asarray(volume / total(cloud.comm, float(volume.sum())))
 

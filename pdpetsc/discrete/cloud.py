@@ -229,7 +229,7 @@ def distribute(
     arrays, _ = exchange(comm, part, [x, gid, reach, volume, np.ascontiguousarray(flags), number_of, further])
     order = _near_in_memory(*arrays[:3])
     x, gid, reach, volume, flags, number_of, further = (array[order] for array in arrays)
-    widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))
+    widest, least = largest(comm, reach, initial=0.0), smallest(comm, reach)
     n_owned = len(x)
     first = offset(comm, n_owned)
     row = first + np.arange(n_owned, dtype=np.int64)

@@ -104,9 +104,9 @@ def count_nonzero(comm: Comm, values: Any) -> int:
     return int(total(comm, np.count_nonzero(values)))
 
 
-def largest(comm: Comm, value: float) -> float:
-    """Return the maximum over ranks of a number (collective)."""
-    return float(_reduced(comm, float(value), MPI.MAX))
+def largest(comm: Comm, values: Any, initial: float = -np.inf) -> float:
+    """Return the maximum over ranks of a number, or of the entries of an array, ``initial`` at least (collective)."""
+    return float(_reduced(comm, float(np.max(np.asarray(values, dtype=float), initial=initial)), MPI.MAX))
 
 
 def all_largest(comm: Comm, values: Any) -> NDArray[Any]:
@@ -114,9 +114,9 @@ def all_largest(comm: Comm, values: Any) -> NDArray[Any]:
     return _reduced(comm, values, MPI.MAX)
 
 
-def smallest(comm: Comm, value: float) -> float:
-    """Return the minimum over ranks of a number (collective)."""
-    return float(_reduced(comm, float(value), MPI.MIN))
+def smallest(comm: Comm, values: Any, initial: float = np.inf) -> float:
+    """Return the minimum over ranks of a number, or of the entries of an array, ``initial`` at most (collective)."""
+    return float(_reduced(comm, float(np.min(np.asarray(values, dtype=float), initial=initial)), MPI.MIN))
 
 
 def bounds(comm: Comm, x: NDArray[Any]) -> NDArray[Any]:

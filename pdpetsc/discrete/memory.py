@@ -113,7 +113,7 @@ def predicted_bonds(
     """
     n_global = int(total(comm, len(x)))
     reach = np.broadcast_to(np.asarray(horizon, dtype=float), len(x))
-    widest = largest(comm, reach.max(initial=0.0))
+    widest = largest(comm, reach, initial=0.0)
     lengths, periods = _periods(x.shape[1], widest, cell)
     images = math.prod(2.0 * math.ceil(min(p, 1e15)) + 1.0 for p in periods)
     with agreed(comm):

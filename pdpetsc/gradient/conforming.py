@@ -88,9 +88,9 @@ def conforming(
         np.repeat(operator.volume, np.diff(operator.point_ptr)) * np.linalg.norm(operator.g, axis=1),
         cloud.n_local,
     )
-    scale = largest(cloud.comm, float(sums.max(initial=0.0)))
+    scale = largest(cloud.comm, sums, initial=0.0)
     excess = system.excess(operator.g, s)
-    before = largest(cloud.comm, float(np.abs(excess).max(initial=0.0)))
+    before = largest(cloud.comm, np.abs(excess), initial=0.0)
     if before <= TOLERANCE * scale:
         return given
     g, left, after, iterations = operator.g, excess, before, 0
@@ -100,7 +100,7 @@ def conforming(
                 multipliers, more = solved(-left, max(0.1 * AIM * scale / after, SOLVED))
                 changed = g + system.change(multipliers)
                 rest = system.excess(changed, s)
-                found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))
+                found = largest(cloud.comm, np.abs(rest), initial=0.0)
                 iterations += more
                 if not found < 0.5 * after:
                     break

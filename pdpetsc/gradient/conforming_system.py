@@ -86,7 +86,7 @@ class ConformingSystem:
         ]
         found: list[list[Float]] = [[] for _ in range(dim)]
         for v in functions:
-            size = largest(comm, float(np.abs(v).max(initial=0.0)))
+            size = largest(comm, np.abs(v), initial=0.0)
             off = np.abs(self.product(np.repeat(v[:, None], dim, axis=1))).max(axis=0, initial=0.0)
             for component, left in enumerate(off):
                 # The product is not zero for a function that is not linear on the images.
@@ -125,7 +125,7 @@ class ConformingSystem:
 
     @cached_property
     def _scale(self) -> float:
-        return largest(self.cloud.comm, float(self.diagonal.max(initial=0.0)))
+        return largest(self.cloud.comm, self.diagonal, initial=0.0)
 
     @property
     def energies(self) -> Float:

@@ -122,7 +122,7 @@ def boxes(comm: Comm, x: Float, edge: float) -> GlobalIndex:
     """
     low, _ = bounds(comm, x)
     at = np.floor((x - low) / edge + BEFORE)
-    most = largest(comm, float(at.max(initial=0.0)))
+    most = largest(comm, at, initial=0.0)
     if not most < 2.0**31:
         raise CaseError(f"Patches with edges of {edge:g} are {most:.3g} along an axis; take patches of two spacings.")
     found: GlobalIndex = at.astype(np.int64)

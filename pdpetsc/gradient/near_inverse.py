@@ -304,7 +304,7 @@ def near_inverses(system: ConformingSystem) -> Sequence[type[NearInverse]]:
     """Return the approximations that suit a system, the fastest first (collective)."""
     cloud = system.cloud
     here = cloud.local_horizon[: cloud.n_owned]
-    widest = largest(cloud.comm, float(here.max(initial=0.0)))
-    narrowest = smallest(cloud.comm, float(here.min(initial=np.inf)))
+    widest = largest(cloud.comm, here, initial=0.0)
+    narrowest = smallest(cloud.comm, here)
     alike = widest <= UNIFORM * narrowest
     return [OnGrid, OfNearest] if cloud.dim > 1 and alike and system.mean_members > ENOUGH else [OfNearest]

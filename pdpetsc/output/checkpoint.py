@@ -502,7 +502,7 @@ def _place(array: KeptArray) -> GlobalIndex:
 
 def _width(array: KeptArray, cloud: Cloud) -> int:
     """Return the largest number of values per particle, over all ranks (collective)."""
-    most = int(largest(cloud.comm, float(np.bincount(array.owner, minlength=1).max(initial=0))))
+    most = int(largest(cloud.comm, np.bincount(array.owner, minlength=1), initial=0))
     return most * int(np.prod(array.values.shape[1:]))
 
 

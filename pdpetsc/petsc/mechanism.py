@@ -61,7 +61,7 @@ def _unresisted(
     mat = tangent.mat
     comm = mat.getComm().tompi4py()
     D = np.where(free.ravel(), np.abs(tangent.diagonal), 0.0) / scale
-    least = float(np.finfo(float).eps) * largest(comm, float(D.max(initial=0.0)))
+    least = float(np.finfo(float).eps) * largest(comm, D, initial=0.0)
     D = np.where(free.ravel(), np.maximum(D, least), 0.0)
     x, b = tangent.preconditioner.createVecs()
     put_irregular(b)

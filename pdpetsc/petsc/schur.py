@@ -87,7 +87,7 @@ class SchurComplement:
             mat.destroy()
         self._x, self._y = self._L.createVecs()
         self._L.getDiagonal(self._x)
-        most = largest(comm, float(self._x.array_r.max(initial=0.0)))
+        most = largest(comm, self._x.array_r, initial=0.0)
         self._x.scale(LIFTED)
         self._x.shift(LEAST * most if most > 0.0 else 1.0)
         self._L.setDiagonal(self._x, PETSc.InsertMode.ADD_VALUES)

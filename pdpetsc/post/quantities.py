@@ -220,11 +220,11 @@ class _AtPoint(Mean):
         assert isinstance(self.region, Nearest)
         comm, chosen = solution.cloud.comm, solution.select(self.region)
         point = np.atleast_1d(np.asarray(self.region.point, dtype=float))
-        distance = smallest(comm, float(np.linalg.norm(solution.x[chosen] - point, axis=1).min(initial=np.inf)))
-        horizon = smallest(comm, float(solution.cloud.local_horizon[: len(chosen)][chosen].min(initial=np.inf)))
+        distance = smallest(comm, np.linalg.norm(solution.x[chosen] - point, axis=1))
+        horizon = smallest(comm, solution.cloud.local_horizon[: len(chosen)][chosen])
         if distance <= OUTSIDE * horizon:
             return
-        spacing = smallest(comm, float(nearest_distances(solution.problem.body)[chosen].min(initial=np.inf)))
+        spacing = smallest(comm, nearest_distances(solution.problem.body)[chosen])
         if distance > OUTSIDE_SPACINGS * spacing:
             raise CaseError(
                 f"The point ({', '.join(f'{one:g}' for one in point)}) of At is not in the body: the nearest particle "

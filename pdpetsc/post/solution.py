@@ -181,11 +181,11 @@ class Solution:
 
     def largest(self, values: Any, initial: float = -np.inf) -> float:
         """Return the maximum of numbers of all ranks, ``initial`` if there are none."""
-        return largest(self.cloud.comm, np.max(np.asarray(values, dtype=float), initial=initial))
+        return largest(self.cloud.comm, values, initial)
 
     def smallest(self, values: Any, initial: float = np.inf) -> float:
         """Return the minimum of numbers of all ranks, ``initial`` if there are none."""
-        return smallest(self.cloud.comm, np.min(np.asarray(values, dtype=float), initial=initial))
+        return smallest(self.cloud.comm, values, initial)
 
     def with_ghosts(self, values: Float) -> Float:
         """Return numbers of the owned particles (n_owned, ...) with those of their ghosts (n_local, ...)."""

@@ -86,7 +86,7 @@ class LastStep:
         None if there is no earlier step, the conditions change direction, or the result is not admissible.
         """
         comm = self._problem.body.cloud.comm
-        last, first = (largest(comm, float(column.max(initial=0.0))) for column in self._times.T)
+        last, first = (largest(comm, column, initial=0.0) for column in self._times.T)
         if not first < last < t:
             return None
         ratio = (t - last) / (last - first)

@@ -75,7 +75,7 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
     v[: len(gid)] = irregular(gid, problem.dim)
     products = [Tangent(problem.body, parts)(v).copy() for parts in found]
     forces = [problem.force_of([term], state) for state in states]
-    offset = max(largest(problem.body.cloud.comm, np.abs(force).max(initial=0.0)) for force in forces)
+    offset = max(largest(problem.body.cloud.comm, np.abs(force), initial=0.0) for force in forces)
     if offset > 0.0 or any(_differ(problem, product, products[0], products[0]) for product in products[1:]):
         raise CaseError(
             f"{who} needs forces that depend on the displacement alone and vanish with it, besides loads that are "
@@ -86,5 +86,5 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
 def _differ(problem: Problem, a: Float, b: Float, of: Float) -> bool:
     """Return True if two arrays differ, relative to the largest entry of a third (collective)."""
     comm = problem.body.cloud.comm
-    off, size = (largest(comm, float(np.abs(values).max(initial=0.0))) for values in (a - b, of))
+    off, size = (largest(comm, np.abs(values), initial=0.0) for values in (a - b, of))
     return bool(off > PROPORTIONAL * max(size, 1e-300))

@@ -137,7 +137,7 @@ def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float |
     patches = None if case.of_bonds else case.gradients.patches
     along = chunk.x if axes is None else chunk.x @ axes.T
     together = None if patches is None else boxes(comm, along, patches.edge).astype(float)
-    widest = largest(comm, float(np.max(reach, initial=0.0)))
+    widest = largest(comm, reach, initial=0.0)
     further = [one.beyond(widest) for one in case.conditions if isinstance(one, TwoParts)]
     beyond: float | Float = 0.0
     if further and (comm.size > 1 or case.symmetry):  # around particles with facets, also for their images
@@ -161,7 +161,7 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Floa
     bonds = predicted_bonds(comm, x, reach, case.cell, case.symmetry)
     family, dim = bonds / count, x.shape[1]
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
-    widest = largest(comm, float(np.max(reach, initial=0.0)))
+    widest = largest(comm, reach, initial=0.0)
     what = f"A horizon of {widest:g} gives {count} particles about {family:.4g} neighbours each, which"
     listed = _listed_share(comm, case, x, reach)
     needed = listed * bonds * each + (1.0 - listed) * count * PER_REPEATED

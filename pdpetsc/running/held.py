@@ -145,7 +145,7 @@ def layer_notes(case: Case, problem: Problem) -> list[str]:
             if value is None or side in layers:
                 continue
             depth = x[:, axis] - low[axis] if side[0] == "-" else high[axis] - x[:, axis]
-            deepest = largest(cloud.comm, float(depth[held].max(initial=-np.inf)))
+            deepest = largest(cloud.comm, depth[held])
             first, last = (depth <= end + ROUND_OFF * lattice.spacing for end in (outermost, deepest))
             counts = [first, first & held, last, held]
             in_first, held_first, in_last, all_held = (

@@ -222,7 +222,7 @@ def response(
     if min(frequencies, default=0.0) <= 0.0:
         raise SolveError("The last equilibrium is unstable, and does not vibrate about it.")
     loads, on_bodies = problem.external_force(last.state), _rigid_bodies(problem).on_particles(last.state)
-    if largest(comm, float(np.abs(problem.supports.reduced(loads) + on_bodies).max(initial=0.0))) == 0.0:
+    if largest(comm, np.abs(problem.supports.reduced(loads) + on_bodies), initial=0.0) == 0.0:
         raise SolveError("No load acts on free particles in the last equilibrium, so that none can oscillate. Add one.")
     loads += on_bodies
     static = _flexibility(solver, last.unknowns, last.t)(loads)
@@ -230,7 +230,7 @@ def response(
 
     def along(direction: Float) -> Float:
         """Return the derivatives of the quantities along a displacement (n_rows, dim)."""
-        step = reach / largest(comm, float(np.abs(direction).max(initial=0.0)))
+        step = reach / largest(comm, np.abs(direction), initial=0.0)
         ends = [Solution(problem, last.unknowns + sign * step * direction, last.t, last.step) for sign in (1.0, -1.0)]
         one, other = (np.array([quantity.evaluate(end) for quantity in quantities.values()]) for end in ends)
         return np.asarray((one - other) / (2.0 * step))
@@ -299,7 +299,7 @@ def buckling(
     for value, y in zip(values, vectors, strict=True):
         if value > EXACT:
             shape = stiff.completed(unpacked(y[free]))[0][:n]
-            size = largest(problem.body.cloud.comm, float(np.abs(shape).max(initial=0.0)))
+            size = largest(problem.body.cloud.comm, np.abs(shape), initial=0.0)
             found.append(((t0 + (t1 - t0) / float(value)) / t1, shape / size))
     found.sort(key=lambda one: one[0])
     return [factor for factor, _ in found], [shape for _, shape in found]

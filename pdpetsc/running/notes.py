@@ -131,7 +131,7 @@ def wave_note(case: Case, problem: Problem) -> str:
     with agreed(cloud.comm):
         stiffness = np.einsum("miiii->mi", elastic_moduli(materials, problem.dim)).max(axis=1)
         density = np.array([law.density for law in materials.materials], dtype=float)
-    fastest = largest(cloud.comm, float((materials.factors * (stiffness / density)[materials.index]).max(initial=0.0)))
+    fastest = largest(cloud.comm, materials.factors * (stiffness / density)[materials.index], initial=0.0)
     low, high = bounds(cloud.comm, cloud.x[:n])
     crossing = float((high - low).max()) / math.sqrt(fastest)
     if solver.dt <= crossing:

@@ -157,7 +157,7 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
     found = None if problem.material_term.has_history else solver.response(u, t, force)
     if found is None:
         return Unbalanced(pushed, held, None, None)
-    far = largest(comm, float(np.abs(found[:n]).max(initial=0.0)))
+    far = largest(comm, np.abs(found[:n]), initial=0.0)
     if far == 0.0:
         return Unbalanced(pushed, held, 0.0, 0.0)
     spacing = float(total(comm, body.cloud.volume[:n].sum()) / body.cloud.n_global) ** (1.0 / body.dim)

@@ -74,7 +74,7 @@ class BodyContactForces(FacetContact):
         self._part, self._bodies = mine.parts, 1
         self._body_of_other = np.zeros(len(theirs.x), dtype=np.int64)
         if cloud.body is not None:
-            self._bodies = 1 + int(largest(cloud.comm, float(cloud.body.max(initial=0))))
+            self._bodies = 1 + int(largest(cloud.comm, cloud.body, initial=0))
             self._body_of_other = cloud.body[theirs.particle]
         first = np.unique(self._part, return_index=True)[1]
         owner, title = np.repeat(mine.owner[first], self._bodies), f"{named[0][0].upper()}{named[0][1:]} of {name}"
@@ -93,8 +93,7 @@ class BodyContactForces(FacetContact):
         self.pattern = self._search.version
         # Of facets of both parts which one is the first of a pair has no meaning.
         self._of_itself = anywhere(cloud.comm, mine.both)
-        overlap = float(np.max(-self._formed(self._before).gap, initial=0.0))
-        overlap = largest(cloud.comm, overlap)
+        overlap = largest(cloud.comm, -self._formed(self._before).gap, initial=0.0)
         if overlap > OVERLAP * spacing:
             raise CaseError(
                 f"The bodies of {name} overlap by {overlap:.3g} at the start; begin with a gap or in touch."
@@ -281,7 +280,7 @@ class BodyContactForces(FacetContact):
         for axis, at in cloud.places.planes.items() if self._of_itself else ():
             before = side.x[side.both, axis] - at
             now = side.deformed(state.u_local)[side.both, :, axis].mean(axis=1) - at
-            beyond = largest(cloud.comm, float((-np.sign(before) * now).max(initial=-np.inf)))
+            beyond = largest(cloud.comm, -np.sign(before) * now)
             if beyond > self._allowed:
                 raise SolveError(
                     f"{self._title} is {beyond / self._spacing:.2g} spacings beyond the mirror plane "

@@ -62,7 +62,7 @@ class ViscousPressure:
         steep = self._declared.quadratic**2 * self._size[at] * np.maximum(-change, 0.0)
         resistance = self._declared.linear * self._speed[at] + steep
         stress = self._density[at] * self._size[at] * resistance * change * (1.0 if phi is None else phi[kept])
-        self.ratio = largest(body.cloud.comm, float((resistance / self._speed[at]).max(initial=0.0)))
+        self.ratio = largest(body.cloud.comm, resistance / self._speed[at], initial=0.0)
         P = np.zeros_like(rate)
         P[kept] = (J * stress)[:, None, None] * inverse.transpose(0, 2, 1)
         f = np.zeros((body.cloud.n_local, dim))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.tools import Contact
-from pdpetsc.discrete.communicator import largest, smallest
+from pdpetsc.discrete.communicator import anywhere, largest, smallest
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
@@ -122,7 +122,7 @@ class ContactForces(FacetContact):
 
     def tool_gap(self, state: State) -> float:
         """Return the smallest distance of the tool from the facets [length]."""
-        return smallest(self.body.cloud.comm, float(self._gap(state)[0].min(initial=np.inf)))
+        return smallest(self.body.cloud.comm, self._gap(state)[0])
 
     def start_friction(self, state: State) -> None:
         """Measure slip from a state in which the tool comes into touch."""
@@ -150,13 +150,13 @@ class ContactForces(FacetContact):
         seen = self._seen(state)[0]
         start, end = moving.absolute(self._x, self._slid, t0), moving.absolute(self._x, seen, state.t)
         through = np.zeros(len(g), dtype=bool)
-        way = largest(self.body.cloud.comm, float(np.abs(seen - self._slid).max(initial=0.0)))
+        way = largest(self.body.cloud.comm, np.abs(seen - self._slid), initial=0.0)
         places = min(max(PLACES, math.ceil(2.0 * way / self._spacing)), MOST_PLACES)
         for share in np.arange(1, places) / places:
             u, _ = moving.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
             between, normal, _ = tool.gap(self._x, u)
             through |= (between < -self._allowed) & ((g > 0.0) | ((n * normal).sum(axis=1) < 0.0))
-        if largest(self.body.cloud.comm, float(np.count_nonzero(through))) > 0.0:
+        if anywhere(self.body.cloud.comm, through):
             return f"{title} passed through the surface in one step"
         if self._mu > 0.0 and self._moving.angle(state.clock.before, state.t) > TURN:
             return f"{title} turned by more than {TURN:g} rad in one step, too far for friction"

@@ -175,13 +175,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
             with agreed(comm):
                 Gc = self.damage_laws.crack_energy(owner, place, np.tile(along, (len(place), 1)))
             share = 2.0 * reach * points.onset_energy[fails] / Gc
-            shares.append(largest(comm, float(share.max(initial=0.0))))
+            shares.append(largest(comm, share, initial=0.0))
         worst = max(shares)
         if worst >= 1.0:
             horizon, normal = cloud.horizon, ", ".join(f"{n:.2g}" for n in fan[shares.index(worst)])
             what = "onset" if all(law.strength is None for law in self.damage_laws.laws) else "strength"
             across = f" for a crack across ({normal})" if self.damage_laws.varies else ""
-            stiffest = largest(comm, float(self._soft.max(initial=0.0))) / RESIDUAL
+            stiffest = largest(comm, self._soft, initial=0.0) / RESIDUAL
             strengths = [law.strength for law in self.damage_laws.laws if isinstance(law.strength, float | int)]
             if strengths and max(strengths) > stiffest:
                 raise CaseError(
@@ -378,7 +378,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def fading(self, state: State) -> float:
         """Return the largest change of a degradation factor that a state would cause [-]."""
         phi = self._followed(state)[2]
-        return largest(self.body.cloud.comm, float(np.abs(phi - self.points.phi).max(initial=0.0)))
+        return largest(self.body.cloud.comm, np.abs(phi - self.points.phi), initial=0.0)
 
     def soften(self, state: State) -> float:
         """Accept the damage at a state; return the largest change of a degradation factor [-].
@@ -391,7 +391,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         begun = normal.any(axis=1)
         points.normal[begun] = normal[begun]
         self._direct()
-        change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
+        change = largest(self.body.cloud.comm, np.abs(points.phi - before), initial=0.0)
         self.conduction_version += change > 0.0
         return change
 

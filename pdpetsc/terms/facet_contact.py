@@ -264,7 +264,7 @@ class FacetContact(Term):
         """
         p = self._pressures(state)
         off = np.minimum(np.abs(p - self._p), p) / self._c
-        return largest(self.body.cloud.comm, float(off.max(initial=0.0)))
+        return largest(self.body.cloud.comm, off, initial=0.0)
 
     def update_multipliers(self, state: State) -> bool:
         """Make the pressures the multipliers; return False if no point penetrates or is pressed from afar."""

@@ -263,7 +263,7 @@ def corners_of(body: Body, name: str) -> tuple[Float, float]:
     ``name`` is the condition in the message of the CaseError if outlines are unknown.
     """
     cloud, surface = body.cloud, body.known_surface
-    length = largest(cloud.comm, float(np.linalg.norm(surface.area, axis=1).max(initial=0.0))) / body.thickness
+    length = largest(cloud.comm, np.linalg.norm(surface.area, axis=1), initial=0.0) / body.thickness
     with agreed(cloud.comm):
         corners = _corners(surface, body.thickness, length, name)
     return corners, body.thickness / length if cloud.dim == 2 else 1.0

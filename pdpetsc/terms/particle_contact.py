@@ -159,8 +159,8 @@ class ParticleContactForces(Term):
 
     def _renew(self, u: Float) -> bool:
         """Search pairs again if particles have moved too far since the last search; return True then (collective)."""
-        moved = float(np.linalg.norm(u - self._near.u, axis=1).max(initial=0.0))
-        if 2.0 * largest(self.body.cloud.comm, moved) <= SLACK * self._spacing:
+        moved = largest(self.body.cloud.comm, np.linalg.norm(u - self._near.u, axis=1), initial=0.0)
+        if 2.0 * moved <= SLACK * self._spacing:
             return False
         self._near = self._searched(u)
         self.pattern += 1
@@ -273,7 +273,7 @@ class ParticleContactForces(Term):
         comm = self.body.cloud.comm
         change = state.own - self._before
         mean = total(comm, change.sum(axis=0)) / self.body.cloud.n_global
-        moved = largest(comm, float(np.linalg.norm(change - mean, axis=1).max(initial=0.0)))
+        moved = largest(comm, np.linalg.norm(change - mean, axis=1), initial=0.0)
         if 2.0 * moved <= PASSING * self._distance:
             return ""
         near = self._searched(self._before, 2.0 * moved)
@@ -295,7 +295,7 @@ class ParticleContactForces(Term):
 
         def depth(state: State) -> float:
             rows, _, r = self._pressed(state)
-            deepest = largest(self.body.cloud.comm, float(np.max(self._near.r0[rows] - r, initial=0.0)))
+            deepest = largest(self.body.cloud.comm, self._near.r0[rows] - r, initial=0.0)
             # The history sums over the ranks.
             return deepest / self._spacing if self.body.cloud.comm.rank == 0 else 0.0
 

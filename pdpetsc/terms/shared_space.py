@@ -22,7 +22,7 @@ def bodies_of(body: Body, facets: Mask) -> list[int]:
     cloud = body.cloud
     if cloud.body is None:
         return [0]
-    count = 1 + int(largest(cloud.comm, float(cloud.body.max(initial=0))))
+    count = 1 + int(largest(cloud.comm, cloud.body, initial=0))
     found = total(cloud.comm, np.bincount(cloud.body[body.known_surface.owner[facets]], minlength=count))
     return [int(number) for number in np.flatnonzero(found)]
 

@@ -104,6 +104,11 @@ def count_nonzero(comm: Comm, values: Any) -> int:
     return int(total(comm, np.count_nonzero(values)))
 
 
+def counted_once(comm: Comm, value: float) -> float:
+    """Return a number that all ranks know on the first of them, and 0 on the others, for sums over the ranks."""
+    return value if comm.rank == 0 else 0.0
+
+
 def largest(comm: Comm, values: Any, initial: float = -np.inf) -> float:
     """Return the maximum over ranks of a number, or of the entries of an array, ``initial`` at least (collective)."""
     return float(_reduced(comm, float(np.max(np.asarray(values, dtype=float), initial=initial)), MPI.MAX))

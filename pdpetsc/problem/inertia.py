@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import counted_once, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import PointBlocks, Product, ScaledProduct
 from pdpetsc.problem.blend import Blend
@@ -301,7 +301,7 @@ class Inertia(Term):
 
     def energy(self, state: State) -> float:
         """Return the kinetic energy of this rank [energy] (not collective); that of declared masses on the first."""
-        added = sum(rigid.added_kinetic for rigid in self.bodies) if self._body.cloud.comm.rank == 0 else 0.0
+        added = counted_once(self._body.cloud.comm, sum(rigid.added_kinetic for rigid in self.bodies))
         return added + 0.5 * float(self.mass @ (self.motion(state)[0] ** 2).sum(axis=1))
 
     def energy_of_free(self, dt: float = 0.0) -> float:
@@ -336,5 +336,4 @@ class Inertia(Term):
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
         """Return the physical time for the history."""
-        comm = self._body.cloud.comm
-        return {"time": lambda state: state.t * self._duration if comm.rank == 0 else 0.0}
+        return {"time": lambda state: counted_once(self._body.cloud.comm, state.t * self._duration)}

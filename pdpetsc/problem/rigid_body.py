@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.motion import ROTATIONS, RigidMotion
-from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.discrete.communicator import Comm, counted_once, total
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.rigid_inertia import RigidInertia, about_point, rotation_vector, skew, spin_of_vector, turned
@@ -541,7 +541,7 @@ class RigidBody:
                 R, d = self.motion(state.t)
                 arm = self._arm[: self._dim]
                 found = np.concatenate([d + R @ arm - arm, rotation_vector(R)[-ROTATIONS[self._dim] :]])
-                return float(found[number]) if self._comm.rank == 0 else 0.0
+                return counted_once(self._comm, float(found[number]))
 
             return value
 
@@ -549,7 +549,7 @@ class RigidBody:
             def value(state: State) -> float:
                 R, v = self._pose(state.t), self._ended_rates[VELOCITY]
                 found = np.concatenate([v[:3] + R @ np.cross(v[3:], self._arm), R @ v[3:]])[self._of]
-                return float(found[number]) if self._comm.rank == 0 else 0.0
+                return counted_once(self._comm, float(found[number]))
 
             return value
 

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of, row_of_entries
 from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.declare.tools import Contact
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import counted_once, largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import FacetSprings
@@ -327,7 +327,6 @@ class FacetContact(Term):
 
     def numbers(self) -> Mapping[str, Callable[[State], float]]:
         """Return the force on the facets by component, the area in contact, and the violation of the gap."""
-        comm = self.body.cloud.comm
 
         def component(axis: int) -> Callable[[State], float]:
             def force(state: State) -> float:
@@ -337,9 +336,7 @@ class FacetContact(Term):
             return force
 
         def depth(state: State) -> float:
-            # The history sums over the ranks.
-            off = self._off(state) / self._spacing
-            return off if comm.rank == 0 else 0.0
+            return counted_once(self.body.cloud.comm, self._off(state) / self._spacing)
 
         found = {f"{self._name}_{'xyz'[axis]}": component(axis) for axis in range(self.body.dim)}
         found[f"{self._name}_area"] = self._area

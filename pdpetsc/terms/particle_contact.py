@@ -10,7 +10,16 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero, exchange, largest, near_ranks, total
+from pdpetsc.discrete.communicator import (
+    agreed,
+    anywhere,
+    count_nonzero,
+    counted_once,
+    exchange,
+    largest,
+    near_ranks,
+    total,
+)
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
@@ -296,8 +305,7 @@ class ParticleContactForces(Term):
         def depth(state: State) -> float:
             rows, _, r = self._pressed(state)
             deepest = largest(self.body.cloud.comm, self._near.r0[rows] - r, initial=0.0)
-            # The history sums over the ranks.
-            return deepest / self._spacing if self.body.cloud.comm.rank == 0 else 0.0
+            return counted_once(self.body.cloud.comm, deepest / self._spacing)
 
         return {
             f"{self._name}_pairs": lambda state: float(len(self._pressed(state)[0])),

@@ -473,7 +473,8 @@ class ExternalWork(Quantity):
 
     That of a rigid body with mass in a motion is the work of its load. Prescribed particles have no inertia: the work
     of their supports does not contain the change of their ``KineticEnergy``. Along a path, the work includes all
-    equilibria within a step while bonds break.
+    equilibria within a step while bonds break. With contact it differs from the change of the energies by up to the
+    force times the ``penetration`` that the contact allows, since raised multipliers do work.
 
     Examples
     --------

@@ -96,8 +96,6 @@ class RigidBodies:
 
     def unbalanced_at(self, state: State) -> tuple[Float, Float]:
         """Return resultants less loads, and what they are compared with (n,) [force]; moments over the size."""
-        if not self._bodies:
-            return np.zeros(0), np.zeros(0)
         off, size = self._imbalance([self._side(*body, state, linear=False) for body in self._bodies], state)
         scale = self._scale
         return -off * scale, size * scale

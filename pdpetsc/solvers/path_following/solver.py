@@ -92,6 +92,8 @@ class PathSolver(SnesSolver):
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
         self._bodies = RigidBodies(problem, self._equilibrium.size)
         self._bodies.follow_load()
+        # Loads on them at load factor 1 [force].
+        self._on_bodies = self._bodies.loads
         self._measure = measure_of(problem, options.measure)
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
@@ -104,7 +106,7 @@ class PathSolver(SnesSolver):
         # the growth of the measure.
         self._before: Float | None = None
         self._change: tuple[Float, float, Float] | None = None
-        self._bordered = Bordered(self._equilibrium.tangent, self.snes, 1 + len(self._bodies.loads))
+        self._bordered = Bordered(self._equilibrium.tangent, self.snes, 1 + len(self._on_bodies))
         self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
@@ -279,10 +281,9 @@ class PathSolver(SnesSolver):
     def _impose(self, load: float) -> None:
         """Set the conditions of a load factor, with the bodies where they are."""
         prescribed, loads = (load * one for one in self._whole)
-        on_bodies = self._bodies.loads
-        if len(on_bodies):
+        if len(self._on_bodies):
             prescribed = self.problem.supports.prescribed(load)
-            self._equilibrium.carry(abs(load) * float(np.abs(on_bodies).sum()), self._bodies.way)
+            self._equilibrium.carry(abs(load) * float(np.abs(self._on_bodies).sum()), self._bodies.way)
         self._equilibrium.impose(load, prescribed, loads)
 
     def _use_tangent(self) -> None:
@@ -410,13 +411,13 @@ class PathSolver(SnesSolver):
     def _other_residuals(self, x: PETSc.Vec) -> Float:
         """Return the residuals of the constraint and of the balance of rigid bodies, on the last rank."""
         values, load = self._take(x)
-        off, _ = self._bodies.unbalanced_at(self._equilibrium.state(values))
+        off = self._bodies.unbalanced_at(self._equilibrium.state(values))[0] if len(self._on_bodies) else ()
         found = np.append(self._force * self._missed(values, load), off) / self._scales.force
         return found[: x.getLocalSize() - self._n_u]
 
     def _others_converged(self, x: PETSc.Vec) -> bool:
         """Return True if the rigid bodies are in equilibrium with their loads."""
-        return self._bodies.balanced(self._equilibrium.state(self._read(x)), self.rtol)
+        return not len(self._on_bodies) or self._bodies.balanced(self._equilibrium.state(self._read(x)), self.rtol)
 
     def _balanced(self, state: State) -> None:
         """Return None: the motions of rigid bodies are among the unknowns."""
@@ -445,7 +446,8 @@ class PathSolver(SnesSolver):
         def rows(y: Float) -> Float:
             u = y.reshape(of.shape)
             grown = float(total(self._comm, float((of * u).sum())))
-            return np.append(self._force * grown, bodies.resultants(supports.completed(u), still)) * by_unit
+            of_bodies = bodies.resultants(supports.completed(u), still) if len(still) else still
+            return np.append(self._force * grown, of_bodies) * by_unit
 
         by_unit = scales.length / scales.force
         grown = row.share * by_load + [float(total(self._comm, float((row.of * du).sum()))) for du in held]

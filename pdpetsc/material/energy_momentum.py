@@ -12,6 +12,9 @@ from pdpetsc.material.base import HistoryKernels, Material
 
 # Below this change of F^T F in a step the stress is that of the middle of the step; the difference is of second order.
 SAME = 1e-6
+# Below it the change of the energy is that of the stress at both ends and the middle by Simpson's rule, exact to
+# round-off for smooth laws. Energies of order 1 have a round-off that ``1 / |dC|`` would carry into the stress.
+NEAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -147,8 +150,10 @@ class _Step:
         self._S = self._U_inverse @ self.stress(self._U)
         square = np.einsum("pab,pab->p", self._dC, self._dC)
         self._over = np.where(square > SAME**2, 1.0 / np.maximum(square, SAME**2), 0.0)
-        gained = 2.0 * (self._energy(self.F_1) - self._energy(self.F_0))
-        self._beta = (gained - np.einsum("pab,pab->p", self._S, self._dC)) * self._over
+        off = 2.0 * (self._energy(self.F_1) - self._energy(self.F_0)) - np.einsum("pab,pab->p", self._S, self._dC)
+        S_0, S_1 = (np.linalg.solve(one, self.stress(one)) for one in (self.F_0, self.F_1))
+        by_stress = np.einsum("pab,pab->p", S_0 - 2.0 * self._S + S_1, self._dC) / 6.0
+        self._beta = np.where(square < NEAR**2, by_stress, off) * self._over
         self.S_m = self._S + self._beta[:, None, None] * self._dC
 
     def stress(self, F: Float) -> Float:

@@ -98,6 +98,27 @@ def test_small_steps_have_the_stress_of_the_law():
         assert np.array_equal(between.stress(F_1), between.of_law(F_1)[0])
 
 
+def test_the_stress_of_a_small_step_has_the_round_off_of_the_law():
+    """Third differences of the mean stress along a line of ends are round-off, not that of energies over ``|dC|``."""
+    for law in LAWS.values():
+        F_0, F_1 = deformations(2)
+        ends = [F_0 + 1e-5 * (1.0 + 1e-3 * k) * (F_1 - F_0) for k in range(4)]
+        means = [Step(law, F_0, end).mean for end in ends]
+        assert np.abs(np.diff(means, 3, axis=0)).max() < 1e-12
+
+
+def test_a_body_at_rest_is_loaded_slowly_without_shorter_steps(tmp_path):
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25),
+        horizon=0.505,
+        material=pd.NeoHookean(E=1000.0, nu=0.3, density=1.0),
+        conditions=[pd.Clamp("-x"), pd.Traction("+x", y=0.5)],
+        solver=pd.Implicit(dt=0.01, end=0.1, energy_momentum=True),
+    )
+    steps = pd.run(case, tmp_path).summary["steps"]
+    assert len(steps) == 10 and max(step["newton_iterations"] for step in steps) <= 4
+
+
 def test_a_turned_step_has_the_turned_stress():
     for law in LAWS.values():
         F_0, F_1 = deformations(2)

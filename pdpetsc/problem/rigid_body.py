@@ -278,6 +278,8 @@ class RigidBody:
     @property
     def placed(self) -> Float:
         """Return displacement and rotation vector since the start of the step, free components only (n_free,)."""
+        if self._ended:
+            return np.zeros(np.count_nonzero(self._free))
         turn = rotation_vector(self._R[1] @ self._R[0].T)
         return np.asarray(np.concatenate([self._whole(self._d[1] - self._d[0]), turn])[self._free])
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import SolveError
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.rigid_body import RigidBody
 from pdpetsc.problem.state import State
@@ -17,6 +18,10 @@ from pdpetsc.solvers.protocol import Flexibility
 
 # Singular values below this share of the largest belong to motions that nothing resists.
 FREE = 1e-10
+UNRESISTED = (
+    "No force resists a motion of a rigid region with a force or a moment, so that the equilibrium is not unique. Hold "
+    "the body in that direction, or prescribe the motion of the region."
+)
 
 
 @dataclass
@@ -66,6 +71,8 @@ class CoupledTangent:
         Velocities and angular velocities of the bodies for unit rates of the motions; by default they are the motions.
     scale : (n,) float64, optional
         Factors on the resultants; 1 by default.
+    external : (n_rows, dim) float64, optional
+        Loads on particles at load factor 1, for derivatives by the load factor [force].
 
     Attributes
     ----------
@@ -79,9 +86,9 @@ class CoupledTangent:
 
     def __init__(
         self, problem: Problem, sides: Sequence[Side], state: State, rates: Float | None = None,
-        scale: Float | None = None,
+        scale: Float | None = None, external: Float | None = None,
     ) -> None:  # fmt: skip
-        self._problem, self._sides = problem, sides
+        self._problem, self._sides, self._external = problem, sides, external
         self._tangent = problem.linearised(state)
         # The change of the residual with the motions of each tool.
         self._held = [side.columns() for side in sides]
@@ -96,7 +103,7 @@ class CoupledTangent:
         ]
         self.carried = np.einsum("kpi,kl->lpi", np.array(carried).reshape(-1, *zero.shape), self._rates)
 
-    def force(self, du: Float, motions: Float) -> Float:
+    def force(self, du: Float, motions: Float, load: float = 0.0) -> Float:
         """Compute the change of the residual before constraints (n_rows, dim) [force].
 
         Parameters
@@ -105,18 +112,17 @@ class CoupledTangent:
             Displacements of all particles, those of regions with the motions [length].
         motions : (n,) float64
             Motions of the bodies.
+        load : float
+            Change of the load factor, with which loads grow and prescribed components move.
         """
         force: Float = self._tangent(du) + sum(self._by_tools(self._parts(motions)))
-        return force
+        return force if self._external is None else force - load * self._external
 
     def resultants(self, du: Float, motions: Float, load: float = 0.0) -> Float:
-        """Compute the change of the resultants less loads (n,); arguments as for ``force``.
-
-        ``load`` is the change of the load factor, with which loads grow and prescribed components move.
-        """
+        """Compute the change of the resultants less loads (n,); arguments as for ``force``."""
         if not self._sides:
             return np.zeros(0)
-        force, parts, found = self.force(du, motions), self._parts(motions), []
+        force, parts, found = self.force(du, motions, load), self._parts(motions), []
         for side, part, by_tool in zip(self._sides, parts, self._by_tools(parts), strict=True):
             if side.tangent is None:
                 rows = side.rigid.rows
@@ -173,6 +179,14 @@ class CoupledTangent:
         """Return the resultants (n,) of forces on particles (n_rows, dim)."""
         return self._sums(self.carried, forces)
 
+    def free_motion(self, S: Float) -> bool:
+        """Return True if nothing resists a motion that moves particles, for the derivative S of the resultants."""
+        moved = np.where(self.regions[:, None], self.carried, 0.0)
+        values, axes = np.linalg.eigh(total(self._problem.body.cloud.comm, np.einsum("kpi,lpi->kl", moved, moved)))
+        moving = axes[:, values > FREE * values.max(initial=0.0)]
+        resisted = np.abs(np.linalg.eigvalsh(moving.T @ (0.5 * (S + S.T)) @ moving))
+        return bool(np.any(resisted <= FREE * resisted.max(initial=0.0)))
+
     def responses(self, answer: Callable[[Float], Float]) -> tuple[Float, Float]:
         """Return the derivative of the resultants by the motions (n, n), and the ways of the particles for each motion.
 
@@ -216,6 +230,8 @@ class CoupledInverse(Flexibility):
     def __init__(self, tangent: CoupledTangent, inverse: Flexibility) -> None:
         self._tangent, self._inverse = tangent, inverse
         self._S, self._ways = tangent.responses(inverse)
+        if tangent.free_motion(self._S):
+            raise SolveError(UNRESISTED)
 
     def __call__(self, force: Float) -> Float:
         tangent, held = self._tangent, self._inverse(force)

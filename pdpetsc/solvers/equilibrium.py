@@ -345,6 +345,12 @@ class Equilibrium:
         self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
         return renewed
 
+    def start_over(self) -> None:
+        """Forget a failed attempt from another start of the same solve."""
+        self.reason, self._longest = "", 0
+        self.norms.clear()
+        self.forget()
+
     def rebalance(self, u: Float, way: float) -> None:
         """Compute the unbalanced forces at unknowns ``u``, after rigid bodies have moved within the solve.
 

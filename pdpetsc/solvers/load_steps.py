@@ -321,7 +321,7 @@ def settle(
         if more or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
         damage.freeze(False)
-        taken, load, tried = damage.stored(), solver.load, change
+        taken, at, tried = damage.stored(), solver.at, change
         attempt, closed = solver.solve(u, target)
         if closed.converged and not is_saddle(solver, closed):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
@@ -337,6 +337,7 @@ def settle(
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
             return u, replace(closed, converged=False, reason=reason), broken, sweep
         else:
-            solver.load, near = load, 0.1 * tried
+            near = 0.1 * tried
+            solver.return_to(at)
             problem.reset_bonds(taken)
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most

@@ -182,9 +182,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         linear = self._run(start)
         if not self._failed() or self.stop():
             return linear
-        sought.reason = ""
-        sought.norms.clear()
-        sought.forget()
+        sought.start_over()
         return None
 
     def _without_solve(self) -> tuple[Float, StepResult]:

@@ -308,6 +308,16 @@ class StepSolver(Solver):
 
     problem: Problem
     load: float = 0.0
+
+    @property
+    def at(self) -> Any:
+        """Return what a rejected solve has changed besides displacements and damage, for ``return_to``."""
+        return self.load
+
+    def return_to(self, at: Any) -> None:
+        """Restore ``at`` (not collective)."""
+        self.load = at
+
     t: float = 0.0
     # Whether an equilibrium must be a minimum of the energy. Along a path the load is not constant.
     of_minima: bool = True

@@ -105,14 +105,15 @@ class RigidBodies:
         off, size = self.unbalanced_at(state)
         return bool(np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size))
 
-    def coupled(self, state: State, rates: Float | None = None) -> CoupledTangent:
+    def coupled(self, state: State, rates: Float | None = None, external: Float | None = None) -> CoupledTangent:
         """Return the derivatives of the residual and of ``unbalanced_at``.
 
         They are those by displacements and further motions, angles times the size of the body, or by motions with these
-        ``rates``.
+        ``rates``; and by the load factor, with the loads on particles at load factor 1 (n_rows, dim) [force].
         """
         sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
-        return CoupledTangent(self._problem, sides, state, np.diag(scale) if rates is None else rates * scale, scale)
+        rates = np.diag(scale) if rates is None else rates * scale
+        return CoupledTangent(self._problem, sides, state, rates, scale, external)
 
     def mass_roots(self, state: State) -> Float:
         """Return columns R (n, n_rows, dim) for which ``R R^T`` are the declared masses of regions."""

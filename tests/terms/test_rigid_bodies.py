@@ -1,5 +1,6 @@
 """Rigid tools and regions in equilibrium with forces and moments."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -386,7 +387,8 @@ def test_the_bordered_tangent_is_the_derivative_of_the_residual(friction, rng):
     nodes = pd.LatticeNodes((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), 0.5)
     region = pd.RigidRegion("+x", force=(3.0, None, -2.0), moment=(4.0, 1.0, -2.0), about=(2.0, 0.5, 0.5))
     block = pd.RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
-    conditions = [pd.Clamp("-x"), region, pd.Contact("+z", block, friction)]
+    weight = pd.BodyForce(pd.region.All(), x=0.3, z=-0.4)
+    conditions = [pd.Clamp("-x"), region, pd.Contact("+z", block, friction), weight]
     solver = pd.PathFollowing(pd.Opening("y", pd.region.Slab("x", low=1.4), step=0.1, end=0.4))
     case = strip(region, nodes, conditions=conditions, solver=solver, history={})
     prepared = pd.prepare(case)
@@ -451,6 +453,69 @@ def test_a_path_bends_a_body_by_a_moment_until_it_is_apart(tmp_path):
     pivots = [step["negative_pivots"] for step in summary["steps"]]
     assert not any(pivots[: peak - 1])
     assert pivots[peak + 1] == 1
+
+
+def on_path(*conditions, measure=None, **changes):
+    """Return a strip with a region at its end and these conditions, along a path."""
+    measure = pd.Opening("y", pd.region.Slab("x", low=3.99), step=0.05, end=0.2) if measure is None else measure
+    return strip(None, conditions=list(conditions), solver=pd.PathFollowing(measure), **changes)
+
+
+@pytest.mark.parametrize("load", ["both", "particles"])
+def test_a_path_counts_loads_on_the_particles_of_a_region(load, tmp_path):
+    """Newton's method converges quadratically, also if the region has no other load."""
+    far = pd.region.Slab("x", low=2.9)
+    region = pd.RigidRegion(far, force=(0.0, 1.0 if load == "both" else 0.0), moment=0.0, about=(3.5, 0.5))
+    weight = pd.BodyForce(pd.region.All() if load == "both" else far, y=0.5)
+    path = pd.run(on_path(pd.Clamp("-x"), region, weight), tmp_path / "path")
+    steps = json.loads((tmp_path / "path" / "summary.json").read_text())["steps"]
+    assert all(step["newton_iterations"] <= 5 for step in steps)
+    t = path.history["t"][-1]
+    alone = dataclasses.replace(region, force=(0.0, t * region.force[1]))
+    pushed = dataclasses.replace(weight, y=0.5 * t)
+    other = pd.run(strip(None, conditions=[pd.Clamp("-x"), alone, pushed]), tmp_path / "steps")
+    assert path.history["y"][-1] == pytest.approx(other.history["y"][-1], rel=1e-7)
+
+
+def test_a_path_with_sweeps_begins_each_with_the_region_where_it_was(tmp_path):
+    """Bonds soften: a region with a force has the path of one that moves in its direction."""
+    far = pd.region.Slab("x", low=3.49)
+    soften = pd.LinearSoftening(pd.ConstantCritical(0.01), 4.0, protected=far | pd.region.Slab("x", high=0.5))
+    found = {}
+    for name, region in (
+        ("pushed", pd.RigidRegion(far, force=(9.0, None))), ("moved", pd.RigidRegion(far, move=(0.1, 0.0)))
+    ):  # fmt: skip
+        case = pd.Case(
+            pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25),
+            material=pd.BondBased(E, plane="stress"),
+            damage=soften,
+            conditions=[pd.Clamp("-x"), region],
+            solver=pd.PathFollowing(pd.BondStretch(0.1), until=0.5),
+            history={"x": pd.Mean(pd.displacement, "x", far), "force": pd.Reaction("x", "-x")},
+        )
+        found[name] = pd.run(case, tmp_path / name).history
+    pushed, moved = (found[name] for name in ("pushed", "moved"))
+    assert -pushed["force"][-1] < 0.6 * max(-np.array(pushed["force"]))
+    np.testing.assert_allclose(pushed["force"], -9.0 * np.array(pushed["t"]), rtol=1e-6, atol=1e-6)
+    peak = int(np.argmin(moved["force"]))
+    force = np.interp(pushed["x"], moved["x"][: peak + 1], moved["force"][: peak + 1])
+    rising = slice(0, int(np.argmin(pushed["force"])) + 1)
+    np.testing.assert_allclose(pushed["force"][rising], force[rising], rtol=0.01, atol=1e-3)
+
+
+def test_a_region_that_nothing_holds_is_refused_along_paths_and_by_modes(tmp_path):
+    sliding = [pd.Displacement(pd.region.Slab("x", high=0.01), x=0.0)]
+    region = pd.RigidRegion("+x", force=(0.0, 1.0), moment=0.0, about=(4.0, 0.5))
+    with pytest.raises(pd.SolveError, match="No force resists a motion of a rigid region"):
+        pd.run(on_path(*sliding, region), tmp_path / "path")
+    free = dataclasses.replace(region, force=(0.0, 0.0))
+    heavy = pd.NeoHookean(E, 0.0, plane="stress", density=1.0)
+    case = strip(None, conditions=[*sliding, free], material=heavy, modes=pd.Modes(2), steps=1)
+    with pytest.raises(pd.SolveError, match="No force resists a motion of a rigid region"):
+        pd.run(case, tmp_path / "modes")
+    corner = pd.RigidRegion(pd.region.Nearest((4.0, 0.0)), force=(0.0, 1.0), moment=0.0, about=(4.0, 0.0))
+    with pytest.raises(pd.SolveError, match="path is lost"):
+        pd.run(on_path(pd.Clamp("-x"), corner), tmp_path / "corner")
 
 
 PATH_CASE = """

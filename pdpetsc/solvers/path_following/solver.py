@@ -17,6 +17,8 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.balance import EnergyBalance, judged
+from pdpetsc.solvers.coupled_tangent import UNRESISTED
+from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
@@ -267,9 +269,7 @@ class PathSolver(SnesSolver):
         linear = self._iterate_from(ahead, load, motions)
         if self.snes.getConvergedReason() > 0 or self.stop():
             return linear
-        sought.reason = ""
-        sought.norms.clear()
-        sought.forget()
+        sought.start_over()
         self._bodies.place(begun)
         return None
 
@@ -308,11 +308,11 @@ class PathSolver(SnesSolver):
             # Hold the stretch of the currently most stretched bonds while the others adapt.
             broken += more
             self._aim(attempt, 1.0)
-            before, at = attempt, self._at
+            before, at = attempt, self.at
             attempt, result, sweeps = self._settle(before, 0.0)
             if not result.converged or abs(self.load) > LEAP * self._highest:
                 # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
-                self._return_to(at)
+                self.return_to(at)
                 self._constraint = Constraint(np.zeros_like(u), 1.0, before, self.load)
                 attempt, result, sweeps = self._settle(before, 0.0)
         return attempt, result, broken, swept
@@ -326,7 +326,7 @@ class PathSolver(SnesSolver):
         """
         swept = 0
         for _ in range(BACK):
-            reached, at = self._measure.reached(u, self.load), self._at
+            reached, at = self._measure.reached(u, self.load), self.at
             if reached <= most * (1.0 + BAND):
                 break
             stored = damage_of(self).stored()
@@ -334,7 +334,7 @@ class PathSolver(SnesSolver):
             attempt, again, sweeps = self._settle(u, most - reached)
             if not again.converged or self._measure.reached(attempt, self.load) >= reached:
                 self.problem.reset_bonds(stored)
-                self._return_to(at)
+                self.return_to(at)
                 break
             u, result, swept = attempt, again, swept + sweeps
         return u, result, swept
@@ -345,7 +345,7 @@ class PathSolver(SnesSolver):
         Newton with damage that follows the displacement is tried first. If bonds that unload and reload prevent
         convergence, equilibrium with damage held and damage at that equilibrium alternate.
         """
-        problem, at = self.problem, self._at
+        problem, at = self.problem, self.at
         problem.freeze(False)
         attempt, result = self.solve(u, size)
         if not problem.softens or self.stop():
@@ -356,16 +356,15 @@ class PathSolver(SnesSolver):
             if self.stop() or (result.converged and change <= LAST):
                 return attempt, result, 0
         problem.reset_bonds(stored)
-        self._return_to(at)
+        self.return_to(at)
         attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
         return attempt, result, sweeps
 
     @property
-    def _at(self) -> tuple[float, Float]:
-        """Return load factor and motions, to which ``_return_to`` returns."""
+    def at(self) -> tuple[float, Float]:
         return self.load, self._bodies.motions
 
-    def _return_to(self, at: tuple[float, Float]) -> None:
+    def return_to(self, at: tuple[float, Float]) -> None:
         self.load = self.t = at[0]
         self._bodies.place(at[1])
 
@@ -382,8 +381,13 @@ class PathSolver(SnesSolver):
         sought = self._equilibrium
         values, last = self._bordered.split(x)
         load = float(last[0])
-        self._bodies.place(last[1:] * self._scales.length)
-        self._impose(load)
+        if np.isfinite(last).all():
+            self._bodies.place(last[1:] * self._scales.length)
+            self._impose(load)
+        else:
+            # The bordered system has no solution, so that its residual is no number, and the solve fails.
+            load = np.nan
+            sought.impose(load, *(load * one for one in self._whole))
         at, resisted = self._begun
         sought.resisted = (load - at) * resisted
         return values * self._scales.length, load
@@ -422,23 +426,36 @@ class PathSolver(SnesSolver):
     def _balanced(self, state: State) -> None:
         """Return None: the motions of rigid bodies are among the unknowns."""
 
-    def _reply(self, force: Float) -> Float:
-        with with_tolerance(self._bordered.ksp, ROUGH):
+    def _reply(self, force: Float, rtol: float = ROUGH) -> Float:
+        with with_tolerance(self._bordered.ksp, rtol):
             answer = self._bordered.answer(force.ravel() / self._scales.force)
         return answer.reshape(force.shape) * self._scales.length
+
+    def refuse_mechanism(self, u: Float) -> None:
+        """Raise SolveError on all ranks if the body or a loaded region with it is free to move at ``u``."""
+        super().refuse_mechanism(u)
+        if len(self._on_bodies):
+            sought, state = self._equilibrium, self.state(u)
+            sought.update(state)
+            bodies = self._bodies.coupled(state)
+            free = bodies.free_motion(bodies.responses(lambda force: self._reply(force, EXACT))[0])
+            sought.forget()
+            if free:
+                self.problem.revert()
+                raise SolveError(UNRESISTED)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
         state = sought.state(self._read(x))
         sought.assemble(state.u)
-        bodies = self._bodies.coupled(state, self._bodies.spins)
+        bodies = self._bodies.coupled(state, self._bodies.spins, self._whole[1])
         # Load factor, then motions: displacements if independent unknowns do not move, and what each adds to loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
         whole = np.concatenate([self._whole[0][None], bodies.carried])
         by_load = np.eye(len(held))[0]
         columns, of_bodies = [], []
         for du, given, motion, load in zip(held, whole, motions, by_load, strict=True):
-            force = supports.reduced(bodies.force(du, motion) - load * self._whole[1])
+            force = supports.reduced(bodies.force(du, motion, load))
             columns.append(np.where(sought.supported, -scales.stiffness * given, force))
             of_bodies.append(bodies.resultants(du, motion, load))
         of, still = supports.reduced(row.of), motions[0]

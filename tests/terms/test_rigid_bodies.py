@@ -477,30 +477,20 @@ def test_a_path_counts_loads_on_the_particles_of_a_region(load, tmp_path):
     assert path.history["y"][-1] == pytest.approx(other.history["y"][-1], rel=1e-7)
 
 
-def test_a_path_with_sweeps_begins_each_with_the_region_where_it_was(tmp_path):
-    """Bonds soften: a region with a force has the path of one that moves in its direction."""
-    far = pd.region.Slab("x", low=3.49)
-    soften = pd.LinearSoftening(pd.ConstantCritical(0.01), 4.0, protected=far | pd.region.Slab("x", high=0.5))
-    found = {}
-    for name, region in (
-        ("pushed", pd.RigidRegion(far, force=(9.0, None))), ("moved", pd.RigidRegion(far, move=(0.1, 0.0)))
-    ):  # fmt: skip
-        case = pd.Case(
-            pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25),
-            material=pd.BondBased(E, plane="stress"),
-            damage=soften,
-            conditions=[pd.Clamp("-x"), region],
-            solver=pd.PathFollowing(pd.BondStretch(0.1), until=0.5),
-            history={"x": pd.Mean(pd.displacement, "x", far), "force": pd.Reaction("x", "-x")},
-        )
-        found[name] = pd.run(case, tmp_path / name).history
-    pushed, moved = (found[name] for name in ("pushed", "moved"))
-    assert -pushed["force"][-1] < 0.6 * max(-np.array(pushed["force"]))
-    np.testing.assert_allclose(pushed["force"], -9.0 * np.array(pushed["t"]), rtol=1e-6, atol=1e-6)
-    peak = int(np.argmin(moved["force"]))
-    force = np.interp(pushed["x"], moved["x"][: peak + 1], moved["force"][: peak + 1])
-    rising = slice(0, int(np.argmin(pushed["force"])) + 1)
-    np.testing.assert_allclose(pushed["force"][rising], force[rising], rtol=0.01, atol=1e-3)
+def test_motions_since_the_start_of_a_step_are_zero_when_it_has_ended():
+    """Sweeps return to them before the next step has begun."""
+    region = pd.RigidRegion("+x", force=(0.0, 1.0), moment=0.0, about=(4.0, 0.5))
+    rigid = pd.prepare(strip(region)).problem.rigid_bodies[0][1]
+    way = np.array([0.1, -0.2, 0.3])
+    rigid.start_from(0.0, 0.5)
+    rigid.place(way)
+    np.testing.assert_allclose(rigid.placed, way, rtol=1e-12)
+    rigid.commit()
+    assert not rigid.placed.any()
+    rigid.start_from(0.5, 1.0)
+    assert not rigid.placed.any()
+    rigid.place(way)
+    np.testing.assert_allclose(rigid.motion(1.0)[1], 2.0 * way[:2], rtol=1e-12)
 
 
 def test_a_region_that_nothing_holds_is_refused_along_paths_and_by_modes(tmp_path):

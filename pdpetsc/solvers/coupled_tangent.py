@@ -143,9 +143,22 @@ class CoupledTangent:
     def spread(self) -> Float:
         """Return forces on the particles of regions with a unit resultant for each motion (n, n_rows, dim) [-]."""
         moved = np.where(self.regions[:, None], self.carried, 0.0)
-        comm = self._problem.body.cloud.comm
-        of_motions = total(comm, np.einsum("kpi,lpi->kl", moved, moved))
-        return np.asarray(np.einsum("kl,lpi->kpi", np.linalg.pinv(of_motions, rcond=FREE, hermitian=True), moved))
+        values, axes = self._moving
+        return np.asarray(np.einsum("kv,v,lv,lpi->kpi", axes, 1.0 / values, axes, moved))
+
+    @cached_property
+    def _moving(self) -> tuple[Float, Float]:
+        """Return motions that move particles, in columns (n, k), and the sums of the squares of the displacements."""
+        moved = np.where(self.regions[:, None], self.carried, 0.0)
+        values, axes = np.linalg.eigh(total(self._problem.body.cloud.comm, np.einsum("kpi,lpi->kl", moved, moved)))
+        kept = values > FREE * values.max(initial=0.0)
+        return values[kept], axes[:, kept]
+
+    @property
+    def idle(self) -> Float:
+        """Return the projection on motions that move no particle (n, n), such as the rotation of a single one."""
+        axes = self._moving[1]
+        return np.asarray(np.eye(len(axes)) - axes @ axes.T)
 
     @cached_property
     def regions(self) -> Mask:
@@ -181,9 +194,7 @@ class CoupledTangent:
 
     def free_motion(self, S: Float) -> bool:
         """Return True if nothing resists a motion that moves particles, for the derivative S of the resultants."""
-        moved = np.where(self.regions[:, None], self.carried, 0.0)
-        values, axes = np.linalg.eigh(total(self._problem.body.cloud.comm, np.einsum("kpi,lpi->kl", moved, moved)))
-        moving = axes[:, values > FREE * values.max(initial=0.0)]
+        moving = self._moving[1]
         resisted = np.abs(np.linalg.eigvalsh(moving.T @ (0.5 * (S + S.T)) @ moving))
         return bool(np.any(resisted <= FREE * resisted.max(initial=0.0)))
 

@@ -503,64 +503,21 @@ def test_a_region_that_nothing_holds_is_refused_along_paths_and_by_modes(tmp_pat
     case = strip(None, conditions=[*sliding, free], material=heavy, modes=pd.Modes(2), steps=1)
     with pytest.raises(pd.SolveError, match="No force resists a motion of a rigid region"):
         pd.run(case, tmp_path / "modes")
-    corner = pd.RigidRegion(pd.region.Nearest((4.0, 0.0)), force=(0.0, 1.0), moment=0.0, about=(4.0, 0.0))
+    corner = pd.RigidRegion(pd.region.Nearest((4.0, 0.0)), force=(0.0, 1.0), moment=1.0, about=(4.0, 0.0))
     with pytest.raises(pd.SolveError, match="path is lost"):
         pd.run(on_path(pd.Clamp("-x"), corner), tmp_path / "corner")
 
 
-PATH_CASE = """
-import pdpetsc as pd
-
-def case(unit=1.0, modulus=1000.0, end=0.2):
-    force = 1e-3 * modulus * unit**2
-    about = (2.0 * unit, 0.5 * unit, 0.5 * unit)
-    load = {"force": (force, 2.0 * force, -force), "moment": (4.0 * force * unit, force * unit, -2.0 * force * unit)}
-    right = pd.region.Slab("x", low=1.99 * unit)
-    return pd.Case(
-        particles=pd.LatticeNodes((0.0, 0.0, 0.0), (2.0 * unit, unit, unit), 0.25 * unit),
-        material=pd.Hencky(modulus, 0.3),
-        conditions=[pd.Clamp("-x"), pd.RigidRegion(right, **load, about=about)],
-        solver=pd.PathFollowing(pd.Opening("y", right, step=0.05 * unit, end=end * unit)),
-        history={axis: pd.Mean(pd.displacement, axis, right) for axis in "xyz"},
-        results=lambda h: {"load": h["t"][-1], **{axis: h[axis][-1] / unit for axis in "xyz"}},
-    )
-"""
-
-
-def test_ranks_units_matrices_and_restarts_change_no_path_of_a_region(tmp_path):
-    path = tmp_path / "case.py"
-    path.write_text(PATH_CASE)
-    one = results(path, output=tmp_path / "one")["results"]
-    assert one["y"] == pytest.approx(0.2, rel=1e-9)
-    runs = {
-        "two": ([], 2),
-        "free": (["-pd_jacobian", "matfree"], 1),
-        "free on three": (["-pd_jacobian", "matfree"], 3),
-        "small": (["unit=1e-9", "modulus=1e6"], 1),
-        "large": (["unit=1e6", "modulus=1e-9"], 1),
-    }
-    for name, (words, ranks) in runs.items():
-        other = results(path, *words, ranks=ranks, output=tmp_path / name)["results"]
-        assert other == pytest.approx(one, rel=2e-6, abs=1e-8)
-    results(path, "end=0.1", output=tmp_path / "half")
-    words = ["--restart", tmp_path / "half"]
-    again = results(path, *words, output=tmp_path / "again")["results"]
-    assert again == pytest.approx(one, rel=1e-9)
-
-
-def test_a_support_of_a_patch_that_the_region_is_part_of_presses_the_region(tmp_path):
-    """The strain energy is half the work of the load, and the forces on the body balance."""
-    far = pd.region.Slab("x", low=3.6)
-    region = pd.RigidRegion(far, force=(0.0, 0.01), moment=0.0, about=(4.0, 0.5))
-    patch = pd.region.Box((3.2, -0.1), (3.8, 0.1))
-    history = {
-        "held": pd.Reaction("y", "-x"), "there": pd.Reaction("y", patch | far), "strain": pd.StrainEnergy(),
-        "end": pd.Mean(pd.displacement, "y", "+x"),
-    }  # fmt: skip
-    conditions = [pd.Clamp("-x"), region, pd.PointSupport(patch, y=0.0)]
-    found = pd.run(strip(region, steps=1, conditions=conditions, history=history), tmp_path).history
-    assert found["strain"][-1] == pytest.approx(0.5 * 0.01 * found["end"][-1], rel=1e-3)
-    assert found["there"][-1] == pytest.approx(-found["held"][-1], rel=1e-6)
+def test_a_region_of_one_particle_has_the_path_of_a_force(tmp_path):
+    """Nothing resists its rotation, which moves no particle."""
+    one = pd.region.Nearest((4.0, 0.0))
+    corner = pd.RigidRegion(one, force=(0.0, 1.0), moment=0.0, about=(4.0, 0.0))
+    found = [
+        pd.run(on_path(pd.Clamp("-x"), load), tmp_path / name).history
+        for name, load in (("region", corner), ("force", pd.Force(one, y=1.0)))
+    ]
+    for name in ("t", "x", "y"):
+        assert found[0][name][-1] == pytest.approx(found[1][name][-1], rel=1e-7)
 
 
 def test_a_loaded_tool_has_one_contact():

@@ -453,11 +453,11 @@ class PathSolver(SnesSolver):
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
         whole = np.concatenate([self._whole[0][None], bodies.carried])
         by_load = np.eye(len(held))[0]
-        columns, of_bodies = [], []
+        columns, changes = [], []
         for du, given, motion, load in zip(held, whole, motions, by_load, strict=True):
             force = supports.reduced(bodies.force(du, motion, load))
             columns.append(np.where(sought.supported, -scales.stiffness * given, force))
-            of_bodies.append(bodies.resultants(du, motion, load))
+            changes.append(bodies.resultants(du, motion, load))
         of, still = supports.reduced(row.of), motions[0]
 
         def rows(y: Float) -> Float:
@@ -468,7 +468,11 @@ class PathSolver(SnesSolver):
 
         by_unit = scales.length / scales.force
         grown = row.share * by_load + [float(total(self._comm, float((row.of * du).sum()))) for du in held]
-        corner = np.concatenate([self._force * grown[None], np.stack(of_bodies, axis=1)]) / scales.force
+        of_bodies = np.stack(changes, axis=1)
+        if len(still):
+            # A rotation that moves no particle stays.
+            of_bodies[:, 1:] += scales.stiffness * bodies.idle
+        corner = np.concatenate([self._force * grown[None], of_bodies]) / scales.force
         # Motions are in units of the displacements.
         units = np.where(by_load > 0.0, 1.0, scales.length)
         self._bordered.enough = ENOUGH * sought.tolerance / scales.force

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -14,7 +14,7 @@ from pdpetsc.gradient.conforming_system import ConformingSystem
 from pdpetsc.gradient.near_inverse import NearInverse
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.shell import Shell
-from pdpetsc.petsc.sparse import assembled
+from pdpetsc.petsc.sparse import assembled, orthonormal
 
 # Shift of the diagonal of the preconditioner, as a share of it. It removes the null space of the preconditioner.
 LIFTED = 1e-8
@@ -41,7 +41,7 @@ class _Preconditioner:
         count = int(total(comm, n))
         direct = count <= near.direct[near.x.shape[1]]
         options.suggest(FACTOR if direct else MULTIGRID)
-        vectors = _orthonormal(comm, [np.ones(n), *near.x.T])
+        vectors = orthonormal(comm, [np.ones(n), *near.x.T])
         linear = PETSc.NullSpace().create(vectors=vectors, comm=comm)
         for triplets in near.matrices:
             matrix = assembled(comm, (n, count), triplets, LIFTED)
@@ -144,20 +144,3 @@ def solve_conforming(
     finally:
         for thing in (ksp, b, x, operator, null_space):
             thing.destroy()
-
-
-def _orthonormal(comm: Comm, functions: Sequence[Float]) -> list[PETSc.Vec]:
-    """Compute an orthonormal basis of functions on own unknowns (n,) (collective)."""
-    made: list[PETSc.Vec] = []
-    for values in functions:
-        vector = PETSc.Vec().createMPI((len(values), PETSc.DECIDE), comm=comm)
-        vector.setArray(values)
-        for _ in range(2):
-            for other in made:
-                vector.axpy(-vector.dot(other), other)
-        if vector.norm() > 0.0:
-            vector.normalize()
-            made.append(vector)
-        else:
-            vector.destroy()
-    return made

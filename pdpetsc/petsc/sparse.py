@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 from petsc4py import PETSc
@@ -66,22 +68,29 @@ def set_symmetry(mat: PETSc.Mat, problem: Problem) -> None:
         mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
 
+def orthonormal(comm: PETSc.Comm | Comm, functions: Sequence[Float]) -> list[PETSc.Vec]:
+    """Compute an orthonormal basis of functions on own unknowns (n,), which the caller destroys (collective)."""
+    basis: list[PETSc.Vec] = []
+    for values in functions:
+        vector = PETSc.Vec().createMPI((len(values), PETSc.DECIDE), comm=comm)
+        vector.setArray(values)
+        for _ in range(2):
+            for earlier in basis:
+                vector.axpy(-vector.dot(earlier), earlier)
+        if vector.norm() > 0.0:
+            vector.normalize()
+            basis.append(vector)
+        else:
+            vector.destroy()
+    return basis
+
+
 def set_rigid_modes(mat: PETSc.Mat, modes: Float) -> None:
     """Set the near-null space of a matrix, for coarsening by algebraic multigrid (collective).
 
     ``modes`` (n, dim, modes) are the rigid motions at the unknowns of its rows.
     """
-    basis: list[PETSc.Vec] = []
-    for m in range(modes.shape[2]):
-        vec = mat.createVecLeft()
-        vec.setArray(modes[:, :, m].ravel())
-        for earlier in basis:
-            vec.axpy(-vec.dot(earlier), earlier)
-        if vec.norm() > 0.0:
-            vec.normalize()
-            basis.append(vec)
-        else:
-            vec.destroy()
+    basis = orthonormal(mat.getComm(), [modes[:, :, m].ravel() for m in range(modes.shape[2])])
     space = PETSc.NullSpace().create(vectors=basis, comm=mat.getComm())
     mat.setNearNullSpace(space)
     space.destroy()

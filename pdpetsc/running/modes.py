@@ -277,7 +277,7 @@ def buckling(
     def softening(y: Float) -> Float:
         return np.asarray((stiff.product(unpacked(y)) - loaded.product(unpacked(y)))[:n][free])
 
-    # Displacements of the particles of a region that are no motion of it have no meaning; springs resist them.
+    # Springs resist displacements that would strain a rigid region. Such displacements are not modes.
     def stiffness(y: Float) -> Float:
         force = stiff.product(unpacked(y)) + spring * stiff.off_motions(unpacked(y))
         return np.asarray(force[:n][free])

@@ -118,11 +118,12 @@ class CoupledTangent:
         force: Float = self._tangent(du) + sum(self._by_tools(self._parts(motions)))
         return force if self._external is None else force - load * self._external
 
-    def resultants(self, du: Float, motions: Float, load: float = 0.0) -> Float:
-        """Compute the change of the resultants less loads (n,); arguments as for ``force``."""
+    def change(self, du: Float, motions: Float, load: float = 0.0) -> tuple[Float, Float]:
+        """Compute ``force`` and the change of the resultants less loads (n,)."""
+        force = self.force(du, motions, load)
         if not self._sides:
-            return np.zeros(0)
-        force, parts, found = self.force(du, motions, load), self._parts(motions), []
+            return force, np.zeros(0)
+        parts, found = self._parts(motions), []
         for side, part, by_tool in zip(self._sides, parts, self._by_tools(parts), strict=True):
             if side.tangent is None:
                 rows = side.rigid.rows
@@ -137,22 +138,26 @@ class CoupledTangent:
         change = total(self._problem.body.cloud.comm, np.concatenate(found))
         if load:
             change = change - load * np.concatenate([side.rigid.load(1.0) for side in self._sides])
-        return np.asarray(self._scale * change)
+        return force, np.asarray(self._scale * change)
+
+    @cached_property
+    def _on_regions(self) -> Float:
+        """Return ``carried`` of the particles of regions alone (n, n_rows, dim)."""
+        return np.where(self.regions[:, None], self.carried, 0.0)
+
+    @cached_property
+    def _moving(self) -> tuple[Float, Float]:
+        """Return the sums of squared displacements of motions that move particles (k,), and these motions (n, k)."""
+        moved = self._on_regions
+        values, axes = np.linalg.eigh(total(self._problem.body.cloud.comm, np.einsum("kpi,lpi->kl", moved, moved)))
+        kept = values > FREE * values.max(initial=0.0)
+        return values[kept], axes[:, kept]
 
     @cached_property
     def spread(self) -> Float:
         """Return forces on the particles of regions with a unit resultant for each motion (n, n_rows, dim) [-]."""
-        moved = np.where(self.regions[:, None], self.carried, 0.0)
         values, axes = self._moving
-        return np.asarray(np.einsum("kv,v,lv,lpi->kpi", axes, 1.0 / values, axes, moved))
-
-    @cached_property
-    def _moving(self) -> tuple[Float, Float]:
-        """Return motions that move particles, in columns (n, k), and the sums of the squares of the displacements."""
-        moved = np.where(self.regions[:, None], self.carried, 0.0)
-        values, axes = np.linalg.eigh(total(self._problem.body.cloud.comm, np.einsum("kpi,lpi->kl", moved, moved)))
-        kept = values > FREE * values.max(initial=0.0)
-        return values[kept], axes[:, kept]
+        return np.asarray(np.einsum("kv,v,lv,lpi->kpi", axes, 1.0 / values, axes, self._on_regions))
 
     @property
     def idle(self) -> Float:
@@ -184,9 +189,8 @@ class CoupledTangent:
 
     def product(self, y: Float) -> Float:
         """Compute the product with independent entries (n_rows, dim), symmetric if the tangent is."""
-        du, motions = self.completed(y)
-        of_regions = np.einsum("k,kpi->pi", self.resultants(du, motions), self.spread)
-        return np.asarray(self._problem.supports.reduced(self.force(du, motions)) + of_regions)
+        force, resultants = self.change(*self.completed(y))
+        return np.asarray(self._problem.supports.reduced(force) + np.einsum("k,kpi->pi", resultants, self.spread))
 
     def loads_of(self, forces: Float) -> Float:
         """Return the resultants (n,) of forces on particles (n_rows, dim)."""
@@ -207,7 +211,7 @@ class CoupledTangent:
         for motion, carried in zip(np.eye(len(self.carried)), self.carried, strict=True):
             force = supports.reduced(self.force(carried, motion))
             ways.append(supports.completed(answer(-force)) + carried)
-            columns.append(self.resultants(ways[-1], motion))
+            columns.append(self.change(ways[-1], motion)[1])
         return np.stack(columns, axis=1), np.stack(ways)
 
     def _sums(self, ways: Float, values: Float) -> Float:
@@ -246,7 +250,7 @@ class CoupledInverse(Flexibility):
 
     def __call__(self, force: Float) -> Float:
         tangent, held = self._tangent, self._inverse(force)
-        off = tangent.loads_of(force) - tangent.resultants(held, np.zeros(len(self._S)))
+        off = tangent.loads_of(force) - tangent.change(held, np.zeros(len(self._S)))[1]
         motions = np.linalg.lstsq(self._S, off, rcond=FREE)[0]
         return np.asarray(held + np.einsum("k,kpi->pi", motions, self._ways))
 

@@ -308,19 +308,18 @@ class StepSolver(Solver):
 
     problem: Problem
     load: float = 0.0
-
-    @property
-    def at(self) -> Any:
-        """Return what a rejected solve has changed besides displacements and damage, for ``return_to``."""
-        return self.load
-
-    def return_to(self, at: Any) -> None:
-        """Restore ``at`` (not collective)."""
-        self.load = at
-
     t: float = 0.0
     # Whether an equilibrium must be a minimum of the energy. Along a path the load is not constant.
     of_minima: bool = True
+
+    @property
+    def at(self) -> Any:
+        """Return the load factor, and further unknowns that ``return_to`` restores after a rejected solve."""
+        return self.load
+
+    def return_to(self, at: Any) -> None:
+        """Restore the values of ``at`` (not collective)."""
+        self.load = at
 
     @property
     def meets_curvature(self) -> bool:

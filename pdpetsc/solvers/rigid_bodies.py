@@ -82,11 +82,8 @@ class RigidBodies:
 
     def place(self, motions: Float) -> None:
         """Move the bodies to ``motions`` (n,) [length] (not collective)."""
-        start = 0
-        for _, rigid in self._bodies:
-            n = int(np.count_nonzero(rigid.free))
-            rigid.place(motions[start : start + n] * self._lengths(rigid))
-            start += n
+        for (_, rigid), part in zip(self._bodies, self._parts(motions * self._scale), strict=True):
+            rigid.place(part)
 
     @property
     def loads(self) -> Float:
@@ -94,16 +91,15 @@ class RigidBodies:
         parts = [rigid.load(1.0) * self._lengths(rigid) for _, rigid in self._bodies]
         return np.concatenate([np.zeros(0), *parts])
 
-    def unbalanced_at(self, state: State) -> tuple[Float, Float]:
-        """Return resultants less loads, and what they are compared with (n,) [force]; moments over the size."""
-        off, size = self._imbalance([self._side(*body, state, linear=False) for body in self._bodies], state)
-        scale = self._scale
-        return -off * scale, size * scale
+    def unbalanced_at(self, state: State) -> Float:
+        """Return resultants less loads (n,) [force]; moments over the size of the body."""
+        sides = [self._side(*body, state, linear=False) for body in self._bodies]
+        return np.asarray(-self._imbalance(sides, state)[0] * self._scale)
 
     def balanced(self, state: State, rtol: float) -> bool:
         """Return True if the loads are in equilibrium, with the relative tolerance of that of the particles."""
-        off, size = self.unbalanced_at(state)
-        return bool(np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size))
+        sides = [self._side(*body, state, linear=False) for body in self._bodies]
+        return _agree(*self._imbalance(sides, state), rtol)
 
     def coupled(self, state: State, rates: Float | None = None, external: Float | None = None) -> CoupledTangent:
         """Return the derivatives of the residual and of ``unbalanced_at``.
@@ -164,7 +160,7 @@ class RigidBodies:
             return None
         sides = [self._side(*body, state) for body in self._bodies]
         off, size = self._imbalance(sides, state)
-        if np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size):
+        if _agree(off, size, rtol):
             return None
         untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
         if untouched:
@@ -182,12 +178,8 @@ class RigidBodies:
             title = sides[owners[np.argmax(left)]].rigid.title
             self.objection = f"nothing holds {title[0].lower()}{title[1:]} against its load"
             return None
-        start = 0
-        for side in sides:
-            n = len(side.velocities)
-            side.rigid.move(step[start : start + n])
-            start += n
-        for term, _ in self._bodies:
+        for (term, rigid), part in zip(self._bodies, self._parts(step), strict=True):
+            rigid.move(part)
             term.version += 1
         return np.asarray(state.u + np.einsum("k,kpi->pi", step, ways))
 
@@ -246,6 +238,10 @@ class RigidBodies:
     def _scale(self) -> Float:
         """Return ``_lengths`` of all bodies (n,)."""
         return np.concatenate([np.zeros(0), *[self._lengths(rigid) for _, rigid in self._bodies]])
+
+    def _parts(self, motions: Float) -> list[Float]:
+        """Return the motions of each body from those of all (n,)."""
+        return np.split(motions, np.cumsum([np.count_nonzero(rigid.free) for _, rigid in self._bodies]))[:-1]
 
     def _lengths(self, rigid: RigidBody) -> Float:
         """Return 1 for displacements, and the angle that moves the size of the body by 1 for rotations (n_free,)."""
@@ -387,3 +383,8 @@ class RigidBodies:
             low, high = (low, middle) if carried(found) else (middle, high)
         moved(high - way)
         return True
+
+
+def _agree(off: Float, size: Float, rtol: float) -> bool:
+    """Return True if loads and resultants agree, with the relative tolerance of the equilibrium of the particles."""
+    return bool(np.all(np.abs(off) <= max(TOLERANCE, LOOSER * rtol) * size))

@@ -415,7 +415,7 @@ class PathSolver(SnesSolver):
     def _other_residuals(self, x: PETSc.Vec) -> Float:
         """Return the residuals of the constraint and of the balance of rigid bodies, on the last rank."""
         values, load = self._take(x)
-        off = self._bodies.unbalanced_at(self._equilibrium.state(values))[0] if len(self._on_bodies) else ()
+        off = self._bodies.unbalanced_at(self._equilibrium.state(values)) if len(self._on_bodies) else ()
         found = np.append(self._force * self._missed(values, load), off) / self._scales.force
         return found[: x.getLocalSize() - self._n_u]
 
@@ -455,15 +455,15 @@ class PathSolver(SnesSolver):
         by_load = np.eye(len(held))[0]
         columns, changes = [], []
         for du, given, motion, load in zip(held, whole, motions, by_load, strict=True):
-            force = supports.reduced(bodies.force(du, motion, load))
-            columns.append(np.where(sought.supported, -scales.stiffness * given, force))
-            changes.append(bodies.resultants(du, motion, load))
+            force, resultants = bodies.change(du, motion, load)
+            columns.append(np.where(sought.supported, -scales.stiffness * given, supports.reduced(force)))
+            changes.append(resultants)
         of, still = supports.reduced(row.of), motions[0]
 
         def rows(y: Float) -> Float:
             u = y.reshape(of.shape)
             grown = float(total(self._comm, float((of * u).sum())))
-            of_bodies = bodies.resultants(supports.completed(u), still) if len(still) else still
+            of_bodies = bodies.change(supports.completed(u), still)[1] if len(still) else still
             return np.append(self._force * grown, of_bodies) * by_unit
 
         by_unit = scales.length / scales.force

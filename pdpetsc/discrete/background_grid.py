@@ -15,7 +15,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.background import interpolate_kernel, join_corners, join_within_cells, restrict_kernel
 
 # Least width of a cell over the distance of neighbours, for a horizon with few particles.
-LEAST_WIDTH = 2.0
+LEAST_WIDTH = 3.0
 # A body thinner than this share of a cell lies in the middle of one cell of this relative width.
 THINNEST = 0.5
 # Largest number of nodes, so that node numbers are exact integers. Cells are wider if parts of the body are far apart.

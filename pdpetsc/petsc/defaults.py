@@ -132,8 +132,8 @@ def _of_levels(kind: str, problem: Problem) -> dict[str, object]:
     The sum of the corrections of both levels needs about twice the iterations of a cycle. An iteration applies the
     tangent once instead of three times, and needs no estimated bounds.
     """
-    # For many nodes: three Chebyshev steps of GAMG. One cycle would need up to twice the iterations.
-    coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 3, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}
+    # For many nodes: two Chebyshev steps of GAMG. One cycle would need up to twice the iterations.
+    coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 2, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}
     coarse |= {"mg_coarse_pc_gamg_agg_nsmooths": 1, "mg_coarse_pc_gamg_threshold": 0.01}
     coarse["mg_coarse_pc_gamg_reuse_interpolation"] = "true"
     levels: dict[str, object] = {

@@ -245,8 +245,8 @@ class PointProduct(Product):
         if A.of is None:
             D = operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
         else:  # points of one particle have the moduli of its material
-            W = operator.sum_over_points(operator.volume)
-            D = W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]]
+            D = A.values[A.of[operator.points_of[:-1]]]
+            D *= operator.sum_over_points(operator.volume)[:, None, None, None, None]
         if self._share is not None:
             D *= self._share()[:, None, None, None, None]
         return np.asarray(D)

@@ -222,38 +222,64 @@ def parts(text, ends="."):
 
 
 def of_items(rows):
-    """Return the lines of the table with one row for every item and program."""
-    lines = ["| item | numbers | reproduced | largest difference [%] | command |", "|---|---|---|---|---|"]
+    """Return the lines of the table of items; those of one program that are all reproduced share a row."""
+    lines = ["| items | numbers | reproduced | largest difference [%] |", "|---|---|---|---|"]
     groups = {}
     for row in rows:
-        groups.setdefault((row["item"], re.search(r"\S+\.py", row["command"])[0]), []).append(row)
-    for (item, _), own in groups.items():
+        groups.setdefault((program(row), row["item"]), []).append(row)
+    whole = {key for key, own in groups.items() if all(row["verdict"] == "reproduced" for row in own)}
+    shared = {}
+    for key, own in groups.items():
+        shared.setdefault(("all", key[0]) if key in whole else key, []).extend(own)
+    for own in shared.values():
         good = [row for row in own if row["verdict"] == "reproduced"]
         printed = [row for row in good if not in_words(row) and "ours" in row]
         errors = [100 * abs(row["ours"] - row["printed"]) / (abs(row["printed"]) or 1) for row in printed]
         largest = f"{max(errors):.2g}" if errors else "-"
-        more = len({row["command"] for row in own}) - 1
-        command = f"`{own[0]['command']}`" + (f" and {more} more" if more else "")
-        lines.append(f"| {item} | {len(own)} | {len(good)} | {largest} | {command} |")
+        lines.append(f"| {together(row['item'] for row in own)} | {len(own)} | {len(good)} | {largest} |")
     return lines
 
 
-def singly(row):
-    """Return the line of one number with its reason."""
-    value = f'"{said(row)}"' if in_words(row) else said(row)
-    found = f"paper {value}; here {here(row)}, **{row['verdict']}**"
-    return f"- {row['item']}, {row['what']}: {found}. {parts(row['why'])[0]}"
+def program(row):
+    """Return the file that the command of a row runs."""
+    return re.search(r"\S+\.py", row["command"])[0]
 
 
-def unstated(rows):
-    """Return the lines of what a paper does not say: every reason once, with its items and the count of numbers."""
+def together(items):
+    """Return items with the kind of each once: ``Table 2, 3; Figure 7``."""
+    kinds = {}
+    for item in dict.fromkeys(items):
+        kind, _, rest = item.partition(" ")
+        kinds.setdefault(kind, []).append(rest)
+    return "; ".join(f"{kind} {', '.join(filter(None, rest))}".strip() for kind, rest in kinds.items())
+
+
+def commands(rows):
+    """Return the lines of the commands: one of every program, with its items and the number of further commands."""
     groups = {}
     for row in rows:
-        if row["verdict"] == "unstated":
-            reasons = parts(row["why"], ".;")
-            speaks = [part for part in reasons if re.search(r"\b(text|paper|excerpt|figure)\b", part)]
-            groups.setdefault((speaks or reasons)[0].replace(";", "."), []).append(row["item"])
-    return [f"- {', '.join(dict.fromkeys(items))} ({len(items)}): {reason}" for reason, items in groups.items()]
+        groups.setdefault(program(row), []).append(row)
+    lines = []
+    for own in groups.values():
+        own_commands = list(dict.fromkeys(row["command"] for row in own))
+        more = f" and {len(own_commands) - 1} more" if len(own_commands) > 1 else ""
+        lines.append(f"- {together(row['item'] for row in own)}: `{own_commands[0]}`{more}")
+    return lines
+
+
+def singly(rows):
+    """Return the lines of single numbers; rows of one item with the same verdict and reason share a line."""
+    groups = {}
+    for row in rows:
+        groups.setdefault((row["item"], row["verdict"], parts(row["why"])[0]), []).append(row)
+    lines = []
+    for (item, verdict, why), own in groups.items():
+        numbers = []
+        for row in own:
+            value = f'"{said(row)}"' if in_words(row) else said(row)
+            numbers.append(f"{row['what']}: paper {value}, here {here(row)}")
+        lines.append(f"- {item}, {'; '.join(numbers)}. **{verdict.capitalize()}**: {why}")
+    return lines
 
 
 def page():
@@ -269,8 +295,8 @@ def page():
         "  were chosen here for words of the paper or for round-off.",
         "- *Misprint*: the printed number contradicts other numbers or equations of the paper.",
         "- *Differs*: the number computed here contradicts the paper.",
-        "- *Unstated*: the paper does not say enough to compare. A number in brackets counts such values.\n",
-        f"{{download}}`One CSV file <{NUMBERS.name}>` has all numbers, with bounds, commands and complete reasons.",
+        "- *Unstated*: the paper does not say enough to compare.\n",
+        f"{{download}}`One CSV file <{NUMBERS.name}>` has every number with its command, bounds and complete reason.",
         "The tables show the largest relative difference of a reproduced number from the printed one.",
         "`python runs/papers/table.py` writes page and file. `make long` runs every command and compares.\n",
         *summary(rows),
@@ -285,8 +311,7 @@ def page():
         lines += [f"{NOTES[paper]}\n"] if paper in NOTES else []
         lines += of_items(own)
         single = [row for row in own if row["verdict"] in VERDICTS[1:3] or row.get("agrees", 0) > MOST_AGREES]
-        single = [singly(row) for row in single]
-        found = {"Single numbers": single, "Unstated": unstated(own), "Other misprints and gaps": notes}
+        found = {"Commands": commands(own), "Single numbers": singly(single), "Other misprints and gaps": notes}
         for heading, entries in found.items():
             lines += [f"\n{heading}:\n", *entries] if entries else []
     return "\n".join(lines) + "\n"

@@ -296,14 +296,16 @@ def page():
         "- *Misprint*: the printed number contradicts other numbers or equations of the paper.",
         "- *Differs*: the number computed here contradicts the paper.",
         "- *Unstated*: the paper does not say enough to compare.\n",
-        f"{{download}}`One CSV file <{NUMBERS.name}>` has every number with its command, bounds and complete reason.",
+        f"{{download}}`One CSV file <{NUMBERS.name}>` has every number with its command, bounds and complete reason,",
+        "and what the papers leave open.",
         "The tables show the largest relative difference of a reproduced number from the printed one.",
         "`python runs/papers/table.py` writes page and file. `make long` runs every command and compares.\n",
         *summary(rows),
     ]
     for paper, (title, _, _) in PAPERS.items():
         own = [row for row in rows if row["paper"] == paper]
-        notes = [entry for entry in misprints if entry["paper"] == paper and (paper, entry["item"]) not in misprinted]
+        notes = [entry for entry in misprints if entry["paper"] == paper and entry["item"].startswith("Eq.")]
+        notes = [entry for entry in notes if (paper, entry["item"]) not in misprinted]
         notes = [f"- {entry['item']}: {parts(entry['text'])[0]}" for entry in notes]
         lines += [f"\n## {title}\n"]
         if paper in SKETCHES:
@@ -311,7 +313,7 @@ def page():
         lines += [f"{NOTES[paper]}\n"] if paper in NOTES else []
         lines += of_items(own)
         single = [row for row in own if row["verdict"] in VERDICTS[1:3] or row.get("agrees", 0) > MOST_AGREES]
-        found = {"Commands": commands(own), "Single numbers": singly(single), "Other misprints and gaps": notes}
+        found = {"Commands": commands(own), "Single numbers": singly(single), "Misprints of equations": notes}
         for heading, entries in found.items():
             lines += [f"\n{heading}:\n", *entries] if entries else []
     return "\n".join(lines) + "\n"

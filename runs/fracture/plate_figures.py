@@ -371,7 +371,7 @@ class Heals(pd.LargestStretch):
 
 
 def deviations():
-    """Every difference between the published scheme and the default alone: the table of docs/theory/fracture.md."""
+    """Change one difference between the published scheme and the default at a time (published_damage.md of the site)."""
     effects = {
         "default": pd.LargestStretch(),
         "control follows": ControlFollows(),

@@ -371,7 +371,7 @@ class Heals(pd.LargestStretch):
 
 
 def deviations():
-    """Change one difference between the published scheme and the default at a time (published_damage.md of the site)."""
+    """Change one difference between the published scheme and the default at a time (page of published damage)."""
     effects = {
         "default": pd.LargestStretch(),
         "control follows": ControlFollows(),

@@ -8,6 +8,7 @@ from pdpetsc.case import Case, ungraded
 # Bonds that lose their force below this multiple of the stretch at onset behave as bonds that snap.
 STEEP = 2.0
 PAGE = "docs/reference/measured/fracture.md"
+POINTS_PAGE = "docs/reference/measured/point_damage.md"
 
 
 def missed_fracture_energy(case: Case) -> str | None:
@@ -48,5 +49,5 @@ def _missed_by_points(case: Case) -> str | None:
         return None
     return (
         f"A running crack through {model} dissipates {size} times Gc. For Gc use scheme=pd.Correspondence() and "
-        f"control=pd.Silling(2.0) ({PAGE})."
+        f"control=pd.Silling(2.0) ({POINTS_PAGE})."
     )

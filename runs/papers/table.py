@@ -222,21 +222,23 @@ def parts(text, ends="."):
 
 
 def of_items(rows):
-    """Return the lines of the table of items; those of one program that are all reproduced share a row."""
-    lines = ["| items | numbers | reproduced | largest difference [%] |", "|---|---|---|---|"]
+    """Return the lines of the table of items; those whose numbers are all reproduced share a row."""
+    lines = ["| items | reproduced | largest difference [%] | others |", "|---|---|---|---|"]
     groups = {}
     for row in rows:
         groups.setdefault((program(row), row["item"]), []).append(row)
     whole = {key for key, own in groups.items() if all(row["verdict"] == "reproduced" for row in own)}
     shared = {}
     for key, own in groups.items():
-        shared.setdefault(("all", key[0]) if key in whole else key, []).extend(own)
+        shared.setdefault("all" if key in whole else key, []).extend(own)
     for own in shared.values():
         good = [row for row in own if row["verdict"] == "reproduced"]
         printed = [row for row in good if not in_words(row) and "ours" in row]
         errors = [100 * abs(row["ours"] - row["printed"]) / (abs(row["printed"]) or 1) for row in printed]
         largest = f"{max(errors):.2g}" if errors else "-"
-        lines.append(f"| {together(row['item'] for row in own)} | {len(own)} | {len(good)} | {largest} |")
+        verdicts = [row["verdict"] for row in own]
+        others = [f"{verdicts.count(name)} {name}" for name in VERDICTS[1:] if name in verdicts]
+        lines.append(f"| {together(row['item'] for row in own)} | {len(good)} | {largest} | {', '.join(others)} |")
     return lines
 
 
@@ -246,12 +248,12 @@ def program(row):
 
 
 def together(items):
-    """Return items with the kind of each once: ``Table 2, 3; Figure 7``."""
+    """Return items with the kind of each once: ``Tables 2, 3; Figure 7``."""
     kinds = {}
     for item in dict.fromkeys(items):
         kind, _, rest = item.partition(" ")
         kinds.setdefault(kind, []).append(rest)
-    return "; ".join(f"{kind} {', '.join(filter(None, rest))}".strip() for kind, rest in kinds.items())
+    return "; ".join(f"{kind}{'s' * (len(rest) > 1)} {', '.join(rest)}".strip() for kind, rest in kinds.items())
 
 
 def commands(rows):

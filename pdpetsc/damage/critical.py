@@ -232,8 +232,8 @@ class FractureEnergy(CriticalStretch):
         material = _moduli(bonds, weight, energy, unit)[bonds.material_of] * bonds.factor
         square = self.Gc / (self.share or 1.0) / (G * material * cloud.local_horizon)
         comm = cloud.comm
-        most = largest(comm, float(square.max(initial=0.0)))
-        if smallest(comm, float(square.min(initial=np.inf))) == most:  # one number for all bonds
+        most = largest(comm, square, initial=0.0)
+        if smallest(comm, square) == most:  # one number for all bonds
             return ConstantCritical(math.sqrt(most))
         both = bonds.k + bonds.opposite.of(bonds.k)
         ours = np.divide(bonds.k, both, out=np.full(len(both), 0.5), where=both > 0.0)
@@ -277,7 +277,7 @@ def _moduli(bonds: DamageableBonds, weight: Float, energy: Float, unit: Float) -
 
     It is that of planes through inner particles, or of all bonds if a material has no inner particle.
     """
-    count = 1 + int(largest(bonds.cloud.comm, float(bonds.material_of.max(initial=0))))
+    count = 1 + int(largest(bonds.cloud.comm, bonds.material_of, initial=0))
     number = bonds.material_of[: bonds.cloud.n_owned]
 
     def by_material(of_bonds: Float) -> Float:

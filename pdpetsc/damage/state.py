@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import DamageableBonds
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.several import AssignedLaws, DamageOf
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import anywhere, largest, total
 from pdpetsc.discrete.families import reached_back
 
 # Driving variables are equal if they differ by less than this share. Those of mirror images differ by 1e-12 after a
@@ -120,21 +120,21 @@ class FailingBonds:
         variable is positive, there are no bonds and the number is 1 (collective).
         """
         x = np.where(self.intact, x, 0.0)
-        found = largest(self._comm, float(x.max(initial=0.0)))
+        found = largest(self._comm, x, initial=0.0)
         near = np.flatnonzero((x >= (1.0 - band) * found) & (found > 0.0))
         count = float(total(self._comm, len(near)))
         return near, max(count, 1.0), found
 
     def fading(self, x: Float) -> float:
         """Return the largest change of a degradation factor for driving variables x [-] (collective)."""
-        return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
+        return largest(self._comm, np.abs(self.phi - self.following(x)[0]), initial=0.0)
 
     def fails(self, x: Float) -> bool:
         """Return True if the force of a bond changes at driving variables x, or if one breaks (collective)."""
         over = np.where(self.intact, x / self._final, 0.0)
         breaks = float(over.max(initial=0.0)) >= 1.0 - TOGETHER
         fades = self.laws.softens and bool(np.any(self.following(x)[0] != self.phi))
-        return largest(self._comm, float(breaks or fades)) > 0.0
+        return anywhere(self._comm, breaks or fades)
 
     def soften(self, x: Float) -> float:
         """Update the degradation factor for driving variables x; return the largest change of any bond (collective)."""
@@ -145,11 +145,11 @@ class FailingBonds:
             # Sweeps with frozen damage end because damage only grows. Reversible damage decreases in Newton iterations
             # only.
             T = np.minimum(T, self.phi)
-        change = float(np.abs(self.phi - T).max(initial=0.0))
+        change = np.abs(self.phi - T)
         # A bond without remaining force breaks at equilibrium, not here.
         self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
         self.kappa[:] = self.law.effect.reached(x, self.kappa)
-        return largest(self._comm, change)
+        return largest(self._comm, change, initial=0.0)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:
         """Break bonds at or beyond their final driving variable, largest first; return the number of pairs.
@@ -204,7 +204,7 @@ class FailingBonds:
         Bonds are compared by driving variable over final driving variable, which may differ between laws.
         """
         over, least = driving_variable / self._final, 1.0 - TOGETHER
-        if largest(self._comm, float(over.max(initial=0.0))) < least:
+        if largest(self._comm, over, initial=0.0) < least:
             return 0
         if most is not None:
             past = np.flatnonzero(over >= least)

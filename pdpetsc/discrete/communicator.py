@@ -94,6 +94,16 @@ def total(comm: Comm, values: Any) -> NDArray[Any]:
     return _reduced(comm, values, MPI.SUM)
 
 
+def scalar_product(comm: Comm, one: NDArray[Any], other: NDArray[Any]) -> float:
+    """Return the sum over entries and ranks of the products of two arrays (collective)."""
+    return float(total(comm, (one * other).sum()))
+
+
+def norm(comm: Comm, values: NDArray[Any]) -> float:
+    """Return the root of the sum over entries and ranks of the squares of an array (collective)."""
+    return float(np.sqrt(total(comm, (values**2).sum())))
+
+
 def anywhere(comm: Comm, marked: Any) -> bool:
     """Return True if an entry of an array, or a flag, is not zero on any rank (collective)."""
     return int(total(comm, int(np.any(marked)))) > 0

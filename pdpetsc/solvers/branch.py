@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pdpetsc.arrays import Float, irregular
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import largest, scalar_product
 from pdpetsc.errors import SolveError
 from pdpetsc.solvers.eigenvectors import of_inverse
 from pdpetsc.solvers.equilibrium import Equilibrium
@@ -79,7 +79,7 @@ class BranchSwitch:
                 break
             if not result.negative_pivots:
                 comm = self.solver.problem.body.cloud.comm
-                away = largest(comm, float(np.abs(u - begin).max(initial=0.0)))
+                away = largest(comm, np.abs(u - begin), initial=0.0)
                 return u, replace(first, negative_pivots=0, switched=away)
         reason = "the equilibrium is unstable, and no stable one was found along its eigenvector"
         return u, replace(first, converged=False, reason=reason)
@@ -115,8 +115,8 @@ class BranchSwitch:
         mode = np.zeros_like(u)
         for value, shape in zip(eigenvalues, shapes, strict=True):
             if value <= (1.0 - EQUAL) * eigenvalues.min():
-                mode[:n] += float(total(cloud.comm, float((onto * shape).sum()))) * shape
-        return mode / largest(cloud.comm, float(np.abs(mode).max(initial=0.0)))
+                mode[:n] += scalar_product(cloud.comm, onto, shape) * shape
+        return mode / largest(cloud.comm, np.abs(mode), initial=0.0)
 
     def _along(self, u: Float, mode: Float, pivots: int) -> tuple[Float, StepResult] | None:
         """Return an equilibrium with fewer negative pivots along a mode or against it, and its outcome, or None."""
@@ -194,7 +194,7 @@ class _Push:
         return self._dot(self._c, v - self._u)
 
     def _dot(self, one: Float, other: Float) -> float:
-        return float(total(self._solver.problem.body.cloud.comm, float((one * other).sum())))
+        return scalar_product(self._solver.problem.body.cloud.comm, one, other)
 
 
 def _moved(v: Float, change: Float, part: float) -> Float:

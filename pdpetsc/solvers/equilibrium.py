@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import bounds, smallest, total
+from pdpetsc.discrete.communicator import anywhere, bounds, norm, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
 from pdpetsc.petsc.library import negative_pivots, refactors
@@ -103,7 +103,7 @@ class Equilibrium:
         self.spacing: Float = np.concatenate([spacing, whole])
         x, comm = cloud.x[: cloud.n_owned], cloud.comm
         low, high = bounds(comm, x)
-        least = smallest(comm, float(spacing.min(initial=np.inf)))
+        least = smallest(comm, spacing)
         self.smallest_spacing = least
         self.size = float(np.linalg.norm(high - low)) + least
         # Size of the body over the smallest distance of particles [-].
@@ -192,7 +192,7 @@ class Equilibrium:
             return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape))))
 
         loose = solve(resistance(step))
-        force = float(np.sqrt(total(self.problem.body.cloud.comm, float((resistance(loose) ** 2).sum()))))
+        force = norm(self.problem.body.cloud.comm, resistance(loose))
         return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
@@ -256,10 +256,10 @@ class Equilibrium:
         residual = self.residual(x)
         if residual is None:
             return False
-        norm = float(np.sqrt(total(self.problem.body.cloud.comm, (residual**2).sum())))
+        size = norm(self.problem.body.cloud.comm, residual)
         if not self.norms:  # a solver of PETSc that calls no convergence test
-            self.norms.append(norm)
-        return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol)) and not self._lost
+            self.norms.append(size)
+        return np.isfinite(size) and size <= SLACK * max(self._tolerance(x, rtol)) and not self._lost
 
     def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
         """Return the tolerance of the residual norm, and the norm of its round-off [force].
@@ -369,7 +369,7 @@ class Equilibrium:
     def resist(self, change: Float) -> None:
         """Compute the forces against a change of the prescribed unknowns (n_rows, dim) [length] at the start."""
         self.resisted = np.zeros_like(change)
-        if self.unbalanced is not None and int(total(self.problem.body.cloud.comm, np.count_nonzero(change))):
+        if self.unbalanced is not None and anywhere(self.problem.body.cloud.comm, change):
             self.resisted += self.problem.linearised(self.problem.state(self._start, self.t))(change)
 
     def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
@@ -418,7 +418,7 @@ class Equilibrium:
         if springs is None or not springs.active:
             return True
         held = self.problem.supports.reduced(springs.force(self.at_prescribed(x)))
-        force = float(np.sqrt(total(self.problem.body.cloud.comm, (held**2).sum())))
+        force = norm(self.problem.body.cloud.comm, held)
         resting = force <= max(self._tolerance(x, rtol))
         if not resting:
             self.reason = HELD_BY_NOTHING

@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import norm
 from pdpetsc.petsc.library import put_irregular, with_tolerance
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.problem import Problem
@@ -62,7 +62,7 @@ def growth_of_deviation(
             b.array = supports.reduced(loading(supports.completed(v))).ravel() / scale
             ksp.solve(b, x)
             v = v - x.array_r.reshape(u.shape)
-            norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))
+            norms.append(norm(problem.body.cloud.comm, v))
     x.destroy()
     b.destroy()
     before, after = norms[POWERS // 2 - 1], norms[-1]

@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import largest, norm, total
 from pdpetsc.petsc.shell import Shell
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
@@ -121,10 +121,10 @@ class MonolithicSolver(StaticSolver):
 
     def _couple(self, system: HeatSystem) -> None:
         """Build the matrix of a step, whose temperature block depends on the length of the step."""
-        change = np.abs(system.start - self._field.before).max(initial=0.0)
         scale = system.matrix.scale
-        sources = np.abs(system.matrix.residual(system.start, system.b, system.start)).max(initial=0.0) / scale
-        self._degree = largest(self._comm, float(max(change, sources))) or 1.0
+        sources = system.matrix.residual(system.start, system.b, system.start) / scale
+        both = np.abs([system.start - self._field.before, sources])
+        self._degree = largest(self._comm, both, initial=0.0) or 1.0
         self._power = self._degree * scale
         tangent = self._equilibrium.tangent
         self._free()
@@ -150,10 +150,10 @@ class MonolithicSolver(StaticSolver):
     def _forces_of(self, change: Float) -> Float:
         """Compute the change of internal forces with the temperature, in PETSc's scale (n_u,)."""
         now, comm, supports = self._field.now.copy(), self._comm, self.problem.supports
-        size = largest(comm, float(np.abs(change).max(initial=0.0)))
+        size = largest(comm, np.abs(change), initial=0.0)
         if not size > 0.0:
             return np.zeros(self._n_u)
-        step = DIFFERENCE * max(self._degree, largest(comm, float(np.abs(now).max(initial=0.0)))) / size
+        step = DIFFERENCE * max(self._degree, largest(comm, np.abs(now), initial=0.0)) / size
         forces = []
         for by in (step, -step):
             self._field.take(now + by * change)
@@ -204,17 +204,16 @@ class MonolithicSolver(StaticSolver):
         for mat in (J, P):
             mat.assemble()
 
-    def _norm(self, norm: float) -> float:
+    def _norm(self, of_all: float) -> float:
         """Return the norm of the displacement residual [force]."""
-        r = self.snes.getFunction()[0].array_r[: self._n_u] * self._scales.force
-        return float(np.sqrt(total(self._comm, float((r**2).sum()))))
+        return norm(self._comm, self.snes.getFunction()[0].array_r[: self._n_u] * self._scales.force)
 
     def _others_converged(self, x: PETSc.Vec) -> bool:
         """Return True if the residual of the temperature is within the tolerance."""
-        norm = float(np.sqrt(total(self._comm, float((self._heat_residual(x) ** 2).sum()))))
-        self._first = max(self._first, norm)
+        off = norm(self._comm, self._heat_residual(x))
+        self._first = max(self._first, off)
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
-        return np.isfinite(norm) and norm <= max(GOOD * self._first, floor)
+        return np.isfinite(off) and off <= max(GOOD * self._first, floor)
 
     def _coupling(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Write the change of internal forces with a change of the temperature."""

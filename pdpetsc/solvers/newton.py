@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.errors import SolveError
 from pdpetsc.petsc.library import (
     effort,
@@ -70,7 +70,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.steps = steps
         self._fixed = problem.supports.fixed
         self._filled_at: Float | None = None
-        self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
+        self._all_prescribed = not anywhere(self._comm, ~self._fixed)
         tangent = self._equilibrium.tangent
         self._set_up(self._create(), tangent.mat, tangent.preconditioner)
 
@@ -111,7 +111,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         linear = self._as_before(u, t)
         if linear is None:
             start, linear = u, 0
-            if total(self._comm, np.count_nonzero(jump)):
+            if anywhere(self._comm, jump):
                 start, linear = self._predict(u, jump)
             linear += self._iterate(start)
         resting, more = self._rested()

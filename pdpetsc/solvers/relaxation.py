@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, irregular
 from pdpetsc.declare.solvers import DynamicRelaxation
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.discrete.communicator import anywhere, largest, norm, smallest, total
 from pdpetsc.kernels.relaxation import SUMS, advance, compare
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
@@ -118,10 +118,10 @@ class RelaxationSolver(LoadStepSolver):
         residual = np.where(self._free, unbalanced, 0.0)
         reference = self._reference(unbalanced - residual, external)
         velocity = np.zeros_like(moved)
-        norms = [self._norm(residual)]
+        norms = [norm(self._comm, residual)]
         sums, size = np.zeros(SUMS + 1), norms[0]
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
-        density = self._norm(residual / self._mass[:, None])
+        density = norm(self._comm, residual / self._mass[:, None])
         least = UNLOADED * max(self._largest, reference)
         if norms[0] <= self._options.tolerance * max(reference, least):
             # The body is in equilibrium already: the first residual is too small as a reference.
@@ -185,9 +185,6 @@ class RelaxationSolver(LoadStepSolver):
         size = max(sums[:2]) if not np.isfinite(sums[2]) else max(sums)
         return float(np.sqrt(size))
 
-    def _norm(self, values: Float) -> float:
-        return float(np.sqrt(total(self._comm, (values**2).sum())))
-
     def _time_step(self, u: Float) -> float:
         """Compute a stable time step at ``u``."""
         cloud = self.problem.body.cloud
@@ -197,9 +194,9 @@ class RelaxationSolver(LoadStepSolver):
         tangent = self.problem.linearised(self.state(self._completed(u)))
         square = 0.0
         for _ in range(POWER_ITERATIONS):
-            v = v / max(self._norm(v), np.finfo(float).tiny)
+            v = v / max(norm(self._comm, v), np.finfo(float).tiny)
             v = supports.reduced(tangent(supports.completed(v))) / self._mass[:, None]
-            square = self._norm(v)
+            square = norm(self._comm, v)
         # Power iterations approach the largest frequency from below.
         critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf
         return float(min(self._courant, SAFETY * critical))
@@ -208,7 +205,7 @@ class RelaxationSolver(LoadStepSolver):
 def _courant_step(problem: Problem) -> float:
     """Compute ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
     cloud = problem.body.cloud
-    shortest = smallest(cloud.comm, float(nearest_distances(problem.body).min(initial=np.inf)))
+    shortest = smallest(cloud.comm, nearest_distances(problem.body))
     stiffest = largest(cloud.comm, problem.material_term.largest_modulus)
-    several = largest(cloud.comm, float(problem.material_term.n_points > cloud.n_owned))
+    several = anywhere(cloud.comm, problem.material_term.n_points > cloud.n_owned)
     return float((1.0 if several else 2.0) / problem.dim * shortest / np.sqrt(stiffest))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.problem.inertia import Inertia
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.rigid_body import MOST_TURN, RigidBody
@@ -214,8 +214,8 @@ class RigidBodies:
 
     def _touches(self, side: Side) -> bool:
         """Return True if a body has forces on the particles, or is a region."""
-        found = float(total(self._problem.body.cloud.comm, float((side.force**2).sum())))
-        return side.rigid.rows is not None or found > 0.0
+        found = anywhere(self._problem.body.cloud.comm, side.force)
+        return side.rigid.rows is not None or found
 
     def _imbalance(self, sides: Sequence[Side], state: State) -> tuple[Float, Float]:
         """Return loads less resultants, and what they are compared with (n_motions,)."""

@@ -124,9 +124,9 @@ class SnesSolver(StepSolver):
         """Return True if the residuals of the other unknowns are within the tolerance."""
         return True
 
-    def _norm(self, norm: float) -> float:
+    def _norm(self, of_all: float) -> float:
         """Return the norm for the convergence test [force], from PETSc's norm of the whole residual."""
-        return norm * self._scales.force
+        return of_all * self._scales.force
 
     @contextmanager
     def loosely(self, rtol: float | None = None) -> Iterator[None]:

@@ -10,8 +10,8 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import DynamicRelaxation, Explicit
 from pdpetsc.declare.steps import Steps
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.discrete.communicator import largest as largest_of
-from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
@@ -91,7 +91,7 @@ class ExplicitSolver(Solver):
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
         self._rigid_damping = largest_of(problem.body.cloud.comm, self._inertia.rate_of_rigid)
-        self._held = int(total(problem.body.cloud.comm, np.count_nonzero(problem.supports.fixed))) > 0
+        self._held = anywhere(problem.body.cloud.comm, problem.supports.fixed)
         self._resistance = elastic_tangent(problem) if self._inertia.damping_time > 0.0 else None
 
     @classmethod
@@ -266,7 +266,7 @@ class ExplicitSolver(Solver):
         problem, inertia, comm = self._problem, self._inertia, self._problem.body.cloud.comm
         rest = problem.state(np.zeros(problem.supports.fixed.shape), 0.0)
         k = np.trace(problem.stiffest(rest).point_blocks(), axis1=1, axis2=2) / problem.dim
-        k = np.maximum(k, SOFTEST * largest_of(comm, float(k.max(initial=0.0))))
+        k = np.maximum(k, SOFTEST * largest_of(comm, k, initial=0.0))
         half = 0.5 * dt / self._declared.safety
         square = 1.0 / (half**2 + half * inertia.damping_time)
         square -= 0.0 if self._rigid is None else self._rigid.frequency_squared(rest)

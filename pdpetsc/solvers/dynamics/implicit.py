@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import ROUNDED, Implicit
 from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.blend import Blend
@@ -49,8 +49,7 @@ class TimeStepSolver(StaticSolver):
         """Run SNES from the motion with constant acceleration; return the linear iterations, None if that fails."""
         inertia = inertia_of(self.problem)
         n = len(inertia.mass)
-        again = largest(self._comm, float(not np.array_equal(u[:n], inertia.u))) > 0.0
-        if again or not inertia.active:
+        if anywhere(self._comm, u[:n] != inertia.u) or not inertia.active:
             return None  # the step is solved again with other damage
         ahead = u.copy()
         ahead[:n] = inertia.ahead(t)

@@ -116,7 +116,7 @@ class SnapSolver(StaticSolver):
             )
 
     def _distance(self, u: Float, v: Float) -> float:
-        return largest(self._comm, float(np.abs(u - v).max(initial=0.0)))
+        return largest(self._comm, np.abs(u - v), initial=0.0)
 
     @contextmanager
     def _with_inertia(self) -> Iterator[None]:

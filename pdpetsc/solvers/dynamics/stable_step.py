@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float, irregular
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import largest, norm, scalar_product
 from pdpetsc.kernels.bonds import change_of_lengths
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem
@@ -90,11 +90,8 @@ def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
         padded[:n] = root * y
         return np.asarray(root * tangent(padded)[:n])
 
-    def dot(a: Float, b: Float) -> float:
-        return float(total(comm, float((a * b).sum())))
-
     v = np.where(free, irregular(cloud.gid[:n], dim), 0.0)
-    size = np.sqrt(dot(v, v))
+    size = norm(comm, v)
     if size == 0.0:
         return 0.0
     v, before, beta = v / size, np.zeros_like(v), 0.0
@@ -103,9 +100,9 @@ def largest_frequency(problem: Problem, state: State, mass: Float) -> float:
     upper = 0.0
     for _ in range(ITERATIONS):
         w = apply(v) - beta * before
-        alpha = dot(w, v)
+        alpha = scalar_product(comm, w, v)
         w -= alpha * v
-        beta = np.sqrt(dot(w, w))
+        beta = norm(comm, w)
         diagonal.append(alpha)
         values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
         residual = beta * abs(float(vectors[-1, -1]))

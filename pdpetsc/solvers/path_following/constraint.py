@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.discrete.communicator import Comm, scalar_product
 
 
 @dataclass(frozen=True)
@@ -29,4 +29,4 @@ class Constraint:
 
     def grown(self, comm: Comm, u: Float, load: float) -> float:
         """Compute the growth (collective)."""
-        return float(total(comm, float((self.of * (u - self.u0)).sum()))) + self.share * (load - self.load0)
+        return scalar_product(comm, self.of, u - self.u0) + self.share * (load - self.load0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import ArcLength, BondStretch, Dissipation, Opening
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import anywhere, scalar_product, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
@@ -77,7 +77,7 @@ class StretchMeasure(Measure):
         self._problem = problem
         self._damage = problem.bond_damage
         bonds = problem.bond_damage.bonds
-        if not int(total(problem.body.cloud.comm, len(bonds.phi) - len(bonds.protected))):
+        if not anywhere(problem.body.cloud.comm, len(bonds.phi) - len(bonds.protected)):
             raise CaseError(
                 "Path following by bond stretches needs bonds that can fail, and all of them are protected; protect a "
                 "smaller region, or take an Opening."
@@ -117,7 +117,7 @@ class OpeningMeasure(Measure):
         for sign, region in ((1.0, declared.region), (-1.0, declared.against)):
             if region is not None:
                 share = np.where(select(cloud, region, "the Opening"), cloud.volume[: cloud.n_owned], 0.0)
-                self._weights[: cloud.n_owned, axis] += sign * share / float(total(cloud.comm, float(share.sum())))
+                self._weights[: cloud.n_owned, axis] += sign * share / total(cloud.comm, share.sum())
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
         return Constraint(self._weights, 0.0, u, load), False
@@ -135,7 +135,7 @@ class OpeningMeasure(Measure):
         return self._opened(u) >= self._end * (1.0 - 1e-9)
 
     def _opened(self, u: Float) -> float:
-        return float(total(self._comm, float((self._weights * u).sum())))
+        return scalar_product(self._comm, self._weights, u)
 
 
 class DissipationMeasure(Measure):
@@ -163,7 +163,7 @@ class DissipationMeasure(Measure):
         with self._damage.loading():
             of = self._damage.dissipation_gradient(self._problem.state(u, load))
         assert of is not None
-        by_load = not float(total(self._problem.body.cloud.comm, float((of**2).sum()))) > 0.0
+        by_load = not anywhere(self._problem.body.cloud.comm, of)
         return Constraint(of, float(by_load), u, load), by_load
 
     def reached(self, u: Float, load: float) -> float:
@@ -197,7 +197,7 @@ class ArcLengthMeasure(Measure):
         self._end, self._comm = declared.end, cloud.comm
         self._share = np.zeros((cloud.n_rows, 1))
         volume = cloud.volume[: cloud.n_owned]
-        self._share[: cloud.n_owned, 0] = volume / float(total(cloud.comm, float(volume.sum())))
+        self._share[: cloud.n_owned, 0] = volume / total(cloud.comm, volume.sum())
         self._last: Float | None = None
         self._direction: Float | None = None
         self._length = 0.0
@@ -228,7 +228,7 @@ class ArcLengthMeasure(Measure):
         return self.reached(u, 0.0) >= self._end * (1.0 - 1e-9)
 
     def _size(self, du: Float) -> float:
-        return math.sqrt(float(total(self._comm, float((self._share * du**2).sum()))))
+        return math.sqrt(scalar_product(self._comm, self._share, du**2))
 
 
 # Class of each declared measure.

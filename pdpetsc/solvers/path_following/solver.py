@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import PathFollowing
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import scalar_product
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, with_tolerance
 from pdpetsc.problem.assembly import Filler
@@ -462,12 +462,12 @@ class PathSolver(SnesSolver):
 
         def rows(y: Float) -> Float:
             u = y.reshape(of.shape)
-            grown = float(total(self._comm, float((of * u).sum())))
+            grown = scalar_product(self._comm, of, u)
             of_bodies = bodies.change(supports.completed(u), still)[1] if len(still) else still
             return np.append(self._force * grown, of_bodies) * by_unit
 
         by_unit = scales.length / scales.force
-        grown = row.share * by_load + [float(total(self._comm, float((row.of * du).sum()))) for du in held]
+        grown = row.share * by_load + [scalar_product(self._comm, row.of, du) for du in held]
         of_bodies = np.stack(changes, axis=1)
         if len(still):
             # A rotation that moves no particle stays.

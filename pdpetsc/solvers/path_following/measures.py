@@ -5,19 +5,45 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import ArcLength, BondStretch, Dissipation, Opening
-from pdpetsc.discrete.communicator import anywhere, scalar_product, total
+from pdpetsc.discrete.communicator import Comm, anywhere, scalar_product, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
-from pdpetsc.solvers.path_following.constraint import Constraint
 
 # The measure averages the bonds whose driving variable is within this relative distance of the largest.
 BAND = 0.05
+# The end of a measure is reached up to this share of it: round-off.
+ROUND_OFF = 1e-9
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """Prescribe the growth of ``of . (u - u0)``, or of the load factor.
+
+    Attributes
+    ----------
+    of : (n_rows, dim) float64
+        Weights of the unknowns, zero if the load factor is prescribed.
+    by_load : bool
+        Whether it prescribes the load factor: the measure does not determine it yet.
+    u0, load0
+        Unknowns [length] and load factor [-] at the start of the step.
+    """
+
+    of: Float
+    by_load: bool
+    u0: Float
+    load0: float
+
+    def grown(self, comm: Comm, u: Float, load: float) -> float:
+        """Compute the growth (collective)."""
+        return scalar_product(comm, self.of, u - self.u0) + self.by_load * (load - self.load0)
 
 
 class Measure(ABC):
@@ -25,6 +51,8 @@ class Measure(ABC):
 
     Attributes
     ----------
+    end : float
+        Value at which the path ends; infinite if it ends when the forces have decreased.
     holds_while_bonds_break : bool
         Whether the measure keeps its meaning when bonds break. Equilibrium with fewer bonds is then sought at the value
         reached.
@@ -36,28 +64,29 @@ class Measure(ABC):
     Every method is collective.
     """
 
-    holds_while_bonds_break: bool
+    end: float = math.inf
+    holds_while_bonds_break: bool = True
     restarts: bool = True
 
     @abstractmethod
-    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the constraint of a step from unknowns ``u``, and True if it can only prescribe the load factor."""
+    def constraint(self, u: Float, load: float) -> Constraint:
+        """Return the constraint of a step from unknowns ``u``."""
 
     @abstractmethod
     def reached(self, u: Float, load: float) -> float:
         """Return the value at unknowns ``u``."""
 
-    @abstractmethod
-    def left(self, u: Float) -> float:
+    def left(self, u: Float, load: float) -> float:
         """Return the remaining growth."""
+        return math.inf if self.end == math.inf else self.end - self.reached(u, load)
 
     def overshot(self, u: Float, load: float) -> bool:
         """Return True if the measure grew too far in a step that could only prescribe the load factor."""
         return False
 
-    @abstractmethod
-    def at_end(self, u: Float) -> bool:
-        """Return True if the measure has reached its declared end."""
+    def at_end(self, u: Float, load: float) -> bool:
+        """Return True if the measure has reached its end, up to round-off."""
+        return self.end < math.inf and self.reached(u, load) >= self.end * (1.0 - ROUND_OFF)
 
 
 class StretchMeasure(Measure):
@@ -83,31 +112,21 @@ class StretchMeasure(Measure):
                 "smaller region, or take an Opening."
             )
 
-    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+    def constraint(self, u: Float, load: float) -> Constraint:
         """Return the mean driving variable of the most driven bonds, or the load factor if no bond is driven yet."""
         of, largest = self._damage.most_driven(self._problem.state(u, load), BAND)
-        by_load = largest <= 0.0
-        return Constraint(of, float(by_load), u, load), by_load
+        return Constraint(of, largest <= 0.0, u, load)
 
     def reached(self, u: Float, load: float) -> float:
         """Return the largest driving variable [-]."""
         return self._damage.most_driven(self._problem.state(u, load), BAND)[1]
 
-    def left(self, u: Float) -> float:
-        """Return infinity: the path ends when the forces have decreased."""
-        return math.inf
-
-    def at_end(self, u: Float) -> bool:
-        return False
-
 
 class OpeningMeasure(Measure):
     """Compute the mean displacement of one region relative to another."""
 
-    holds_while_bonds_break = True
-
     def __init__(self, problem: Problem, declared: Opening) -> None:
-        self._end = declared.end
+        self.end = declared.end
         cloud, dim = problem.body.cloud, problem.dim
         self._comm = cloud.comm
         axis = "xyz".index(declared.component)
@@ -119,22 +138,11 @@ class OpeningMeasure(Measure):
                 share = np.where(select(cloud, region, "the Opening"), cloud.volume[: cloud.n_owned], 0.0)
                 self._weights[: cloud.n_owned, axis] += sign * share / total(cloud.comm, share.sum())
 
-    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        return Constraint(self._weights, 0.0, u, load), False
+    def constraint(self, u: Float, load: float) -> Constraint:
+        return Constraint(self._weights, False, u, load)
 
     def reached(self, u: Float, load: float) -> float:
         """Return the opening [length]."""
-        return self._opened(u)
-
-    def left(self, u: Float) -> float:
-        """Return the remaining opening [length]."""
-        return self._end - self._opened(u)
-
-    def at_end(self, u: Float) -> bool:
-        """Return True if the end is reached, up to round-off."""
-        return self._opened(u) >= self._end * (1.0 - 1e-9)
-
-    def _opened(self, u: Float) -> float:
         return scalar_product(self._comm, self._weights, u)
 
 
@@ -149,22 +157,19 @@ class DissipationMeasure(Measure):
         The body has no damage at gradient points.
     """
 
-    holds_while_bonds_break = True
-
     def __init__(self, problem: Problem, declared: Dissipation) -> None:
         damage = problem.damage
         if damage is None or not damage.forces_have_energy:
             raise CaseError("Path following by dissipation needs PointDamage; take it, or BondStretch, or an Opening.")
         self._problem, self._damage, self._step, self._before = problem, damage, declared.step, 0.0
 
-    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+    def constraint(self, u: Float, load: float) -> Constraint:
         """Return the growth of the dissipated energy, or the load factor if no point fails yet."""
         self._before = self.reached(u, load)
         with self._damage.loading():
             of = self._damage.dissipation_gradient(self._problem.state(u, load))
         assert of is not None
-        by_load = not anywhere(self._problem.body.cloud.comm, of)
-        return Constraint(of, float(by_load), u, load), by_load
+        return Constraint(of, not anywhere(self._problem.body.cloud.comm, of), u, load)
 
     def reached(self, u: Float, load: float) -> float:
         """Return the dissipated energy [energy]."""
@@ -175,13 +180,6 @@ class DissipationMeasure(Measure):
         """Return True if the step dissipated more than its declared energy."""
         return self.reached(u, load) - self._before > self._step
 
-    def left(self, u: Float) -> float:
-        """Return infinity: the path ends when the forces have decreased."""
-        return math.inf
-
-    def at_end(self, u: Float) -> bool:
-        return False
-
 
 class ArcLengthMeasure(Measure):
     """Compute the length of the path of the displacements, ``sum |du|`` with ``|du|^2 = int du . du dV / V``.
@@ -189,12 +187,11 @@ class ArcLengthMeasure(Measure):
     A step prescribes its growth along the direction of the step before, by the load factor in the first step.
     """
 
-    holds_while_bonds_break = True
     restarts = False
 
     def __init__(self, problem: Problem, declared: ArcLength) -> None:
         cloud = problem.body.cloud
-        self._end, self._comm = declared.end, cloud.comm
+        self.end, self._comm = declared.end, cloud.comm
         self._share = np.zeros((cloud.n_rows, 1))
         volume = cloud.volume[: cloud.n_owned]
         self._share[: cloud.n_owned, 0] = volume / total(cloud.comm, volume.sum())
@@ -202,7 +199,7 @@ class ArcLengthMeasure(Measure):
         self._direction: Float | None = None
         self._length = 0.0
 
-    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+    def constraint(self, u: Float, load: float) -> Constraint:
         """Return the growth along the last step from ``u``, or the load factor in the first step."""
         if self._last is not None:
             moved = u - self._last
@@ -212,20 +209,12 @@ class ArcLengthMeasure(Measure):
                 self._length += size
         self._last = u.copy()
         if self._direction is None:
-            return Constraint(np.zeros_like(u), 1.0, u, load), True
-        return Constraint(self._share * self._direction, 0.0, u, load), False
+            return Constraint(np.zeros_like(u), True, u, load)
+        return Constraint(self._share * self._direction, False, u, load)
 
     def reached(self, u: Float, load: float) -> float:
         """Return the length of the path up to ``u`` [length]."""
         return self._length if self._last is None else self._length + self._size(u - self._last)
-
-    def left(self, u: Float) -> float:
-        """Return the remaining length [length]."""
-        return self._end - self.reached(u, 0.0)
-
-    def at_end(self, u: Float) -> bool:
-        """Return True if the end is reached, up to round-off."""
-        return self.reached(u, 0.0) >= self._end * (1.0 - 1e-9)
 
     def _size(self, du: Float) -> float:
         return math.sqrt(scalar_product(self._comm, self._share, du**2))

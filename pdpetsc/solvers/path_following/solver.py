@@ -21,8 +21,7 @@ from pdpetsc.solvers.coupled_tangent import UNRESISTED
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
-from pdpetsc.solvers.path_following.constraint import Constraint
-from pdpetsc.solvers.path_following.measures import BAND, measure_of
+from pdpetsc.solvers.path_following.measures import BAND, Constraint, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.snes import ROUGH, SnesSolver
@@ -103,7 +102,7 @@ class PathSolver(SnesSolver):
         self._target = 0.0
         # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
-        self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
+        self._constraint = Constraint(np.zeros(fixed.shape), True, np.zeros(fixed.shape), 0.0)
         # The last converged unknowns, and the change in the last step, of displacements, load factor and motions, over
         # the growth of the measure.
         self._before: Float | None = None
@@ -164,11 +163,11 @@ class PathSolver(SnesSolver):
             size = self._aim(u, step)
             attempt, result, broken, sweeps = self._advance(u, size)
             far = abs(self.load - load) > JUMP * self._highest > 0.0
-            if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
+            if result.converged and far and step > PATIENCE * options.measure.step and not self._constraint.by_load:
                 result = replace(result, converged=False, reason="the load factor jumped")
             if result.converged and load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
                 result = replace(result, converged=False, reason="the load factor jumped to the other sign")
-            if result.converged and self._constraint.share != 0.0 and self._measure.overshot(attempt, self.load):
+            if result.converged and self._constraint.by_load and self._measure.overshot(attempt, self.load):
                 result = replace(result, converged=False, reason="the measure grew by more than a step")
             if result.converged:
                 balance.pass_by(self.state(attempt))
@@ -181,7 +180,7 @@ class PathSolver(SnesSolver):
                 balance.go_back()
                 self.load = load
                 failures.append(result)
-                step = 0.5 * size if self._constraint.share == 0.0 else 0.5 * step
+                step = 0.5 * step if self._constraint.by_load else 0.5 * size
                 on_failure(load, step, result)
                 if step < options.smallest * options.measure.step:
                     raise SolveError(
@@ -192,7 +191,7 @@ class PathSolver(SnesSolver):
             if not converged:
                 self.refuse_mechanism(attempt)
             change = (attempt - u) / size, (self.load - load) / size, self._bodies.motions / size
-            self._change = change if self._constraint.share == 0.0 else None
+            self._change = None if self._constraint.by_load else change
             self._before = attempt
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
@@ -208,7 +207,7 @@ class PathSolver(SnesSolver):
             yield Converged(u, load, result, failures, broken, sweeps, resume, work=work)
             failures = []
             fallen = result.reference <= options.until * highest
-            if fallen or self._measure.at_end(u):
+            if fallen or self._measure.at_end(u, load):
                 left = f"{result.reference / highest if highest > 0.0 else 0.0:.2g} of their largest"
                 why = f"the forces fell to {left} (until={options.until:g})"
                 why = why if fallen else f"its measure reached its end; the forces are {left}"
@@ -220,8 +219,7 @@ class PathSolver(SnesSolver):
         """Find equilibrium at which the measure has grown by ``t`` since the last converged step, from ``u``."""
         sought, of = self._equilibrium, self._constraint
         self._target = t
-        # A constraint with a share prescribes the load factor.
-        unit = self._options.first if of.share else self._options.measure.step
+        unit = self._options.first if of.by_load else self._options.measure.step
         self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / unit
         self._impose(self.load)
         if sought.begin(u):
@@ -255,7 +253,7 @@ class PathSolver(SnesSolver):
         """
         damage, sought = self.problem.damage, self._equilibrium
         follows = damage is None or (damage.forces_have_energy and not damage.frozen)
-        if self._change is None or u is not self._before or self._constraint.share != 0.0 or not follows:
+        if self._change is None or u is not self._before or self._constraint.by_load or not follows:
             return None
         change, of_load, of_motions = self._change
         load, motions = self.load + growth * of_load, growth * of_motions
@@ -313,7 +311,7 @@ class PathSolver(SnesSolver):
             if not result.converged or abs(self.load) > LEAP * self._highest:
                 # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
                 self.return_to(at)
-                self._constraint = Constraint(np.zeros_like(u), 1.0, before, self.load)
+                self._constraint = Constraint(np.zeros_like(u), True, before, self.load)
                 attempt, result, sweeps = self._settle(before, 0.0)
         return attempt, result, broken, swept
 
@@ -371,10 +369,10 @@ class PathSolver(SnesSolver):
     def _aim(self, u: Float, step: float) -> float:
         """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
         self._bordered.forget()
-        self._constraint, by_load = self._measure.constraint(u, self.load)
-        if by_load:
+        self._constraint = self._measure.constraint(u, self.load)
+        if self._constraint.by_load:
             return self._options.first * step / self._options.measure.step
-        return min(step, self._measure.left(u))
+        return min(step, self._measure.left(u, self.load))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
         """Return unknowns and load factor of a vector, and set motions and conditions to it."""
@@ -467,7 +465,7 @@ class PathSolver(SnesSolver):
             return np.append(self._force * grown, of_bodies) * by_unit
 
         by_unit = scales.length / scales.force
-        grown = row.share * by_load + [scalar_product(self._comm, row.of, du) for du in held]
+        grown = row.by_load * by_load + [scalar_product(self._comm, row.of, du) for du in held]
         of_bodies = np.stack(changes, axis=1)
         if len(still):
             # A rotation that moves no particle stays.

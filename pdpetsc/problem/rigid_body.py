@@ -97,6 +97,11 @@ class RigidBody:
         self._span = (0.0, 0.0)
         self._ended, self._fresh, self._at_any = False, True, False
 
+    @property
+    def what(self) -> str:
+        """Return the title as it stands within a sentence."""
+        return self.title[0].lower() + self.title[1:]
+
     def _in_space(self, components: Float | Mask) -> Float:
         """Return six numbers of space for components of displacement and rotation."""
         found = np.zeros(6)

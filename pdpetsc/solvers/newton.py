@@ -156,7 +156,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self.t = t
         self._equilibrium.impose(t)
         held = self._inverse_at(u, rtol)
-        return held if self._rigid is None else CoupledInverse(self._rigid.coupled(self.state(u)), held)
+        return CoupledInverse(self._bodies.coupled(self.state(u)), held) if self._bodies else held
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
@@ -193,14 +193,12 @@ class StaticSolver(SnesSolver, LoadStepSolver):
             if sought.residual(u.ravel()) is None:
                 return u, sought.result(False, int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
             # Nothing of the body gives way.
-            if self._rigid is None or self._rigid.moved(self.state(u), lambda: np.zeros_like, self.rtol) is None:
+            if self._bodies.moved(self.state(u), lambda: np.zeros_like, self.rtol) is None:
                 break
             sought.impose(sought.t)
         else:
             sought.reason = UNBALANCED
-        if self._rigid is not None and self._rigid.objection:
-            sought.reason = self._rigid.objection
-        sought.reason = sought.reason or self.problem.objection(self.state(u))
+        sought.reason = self._bodies.objection or sought.reason or self.problem.objection(self.state(u))
         if sought.reason:
             return u, sought.result(False, 0, 0, 0)
         return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)

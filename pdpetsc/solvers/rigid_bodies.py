@@ -39,7 +39,7 @@ class RigidBodies:
     problem : Problem
         The problem.
     size : float
-        Size of the body [length].
+        Size of the body [length]; of no account for motions with inertia alone.
 
     Attributes
     ----------
@@ -48,24 +48,23 @@ class RigidBodies:
 
     Notes
     -----
-    Methods are collective.
+    Methods are collective. There may be no bodies, ``if bodies`` tells: nothing then moves.
     """
 
-    def __init__(self, problem: Problem, size: float) -> None:
+    def __init__(self, problem: Problem, size: float = 1.0) -> None:
         self._problem, self._size = problem, size
         self._bodies = problem.rigid_bodies
         self._inertia = problem.inertia
         self.objection = ""
 
-    @classmethod
-    def of(cls, problem: Problem, size: float = 1.0) -> RigidBodies | None:
-        """Return the loaded rigid bodies of a problem; None if there are none."""
-        return cls(problem, size) if problem.rigid_bodies else None
+    def __len__(self) -> int:
+        """Return the number of bodies."""
+        return len(self._bodies)
 
     @property
     def way(self) -> float:
         """Return the largest displacement of a body since the start of the run [length] (not collective)."""
-        return max(rigid.way for _, rigid in self._bodies)
+        return max((rigid.way for _, rigid in self._bodies), default=0.0)
 
     def follow_load(self) -> None:
         """Let motions be the same at every load parameter, as unknowns of a path (not collective)."""
@@ -155,8 +154,9 @@ class RigidBodies:
         dt = 0.0 if self._inertia is None else state.clock.dt
         fast = [rigid for _, rigid in self._bodies if dt > 0.0 and rigid.turned_in_step(dt) > MOST_TURN]
         if fast:
-            title = fast[0].title
-            self.objection = f"{title[0].lower()}{title[1:]} turns by more than {MOST_TURN:g} rad in one time step"
+            self.objection = f"{fast[0].what} turns by more than {MOST_TURN:g} rad in one time step"
+            return None
+        if not self._bodies:
             return None
         sides = [self._side(*body, state) for body in self._bodies]
         off, size = self._imbalance(sides, state)
@@ -165,8 +165,7 @@ class RigidBodies:
         untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
         if untouched:
             if not all([self._approach(*self._bodies[i], state) for i in untouched]):
-                rigid = sides[untouched[0]].rigid
-                self.objection = f"{rigid.title[0].lower()}{rigid.title[1:]} touches nothing that carries its load"
+                self.objection = f"{sides[untouched[0]].rigid.what} touches nothing that carries its load"
                 return None
             return state.u.copy()
         S, ways = self._stiffness(sides, state, inverse())
@@ -175,8 +174,7 @@ class RigidBodies:
         left = np.abs(off - S @ step) > UNHELD * size
         if np.any(left):
             owners = np.repeat(np.arange(len(sides)), [len(side.velocities) for side in sides])
-            title = sides[owners[np.argmax(left)]].rigid.title
-            self.objection = f"nothing holds {title[0].lower()}{title[1:]} against its load"
+            self.objection = f"nothing holds {sides[owners[np.argmax(left)]].rigid.what} against its load"
             return None
         for (term, rigid), part in zip(self._bodies, self._parts(step), strict=True):
             rigid.move(part)
@@ -190,8 +188,7 @@ class RigidBodies:
         """
         sides = [self._side(*body, state) for body in self._bodies]
         scale = self._scale
-        S = self._stiffness(sides, state, answer)[0] * scale[:, None] * scale
-        return negative(S)
+        return negative(self._stiffness(sides, state, answer)[0] * scale[:, None] * scale)
 
     def _side(self, term: Term, rigid: RigidBody, state: State, linear: bool = True) -> Side:
         """Return the forces and velocities of a body at a state, and its tangent if ``linear``."""
@@ -256,8 +253,8 @@ class RigidBodies:
             S += block_diag(*[side.rigid.stiffness_in_step(blend, state.t, state.clock.dt) for side in sides])
         return S, ways
 
-    def unbalanced(self, state: State, forces: tuple[Float, Float], damping: Float) -> list[Float]:
-        """Return for each body the loads that nothing balances (n_free,).
+    def unbalanced(self, state: State, forces: tuple[Float, Float], damping: Float) -> list[tuple[RigidBody, Float]]:
+        """Return each body with the loads that nothing balances (n_free,).
 
         Parameters
         ----------
@@ -279,15 +276,14 @@ class RigidBodies:
             # Only a few particles touch a tool.
             rows = np.flatnonzero(force.any(axis=1))
             velocities = rigid.velocities(cloud.x[rows] + state.u[rows], state.t)
-            found.append(rigid.load(state.t) - total(cloud.comm, np.einsum("kpi,pi->k", velocities, force[rows])))
+            resultants = total(cloud.comm, np.einsum("kpi,pi->k", velocities, force[rows]))
+            found.append((rigid, rigid.load(state.t) - resultants))
         return found
 
     def begin(self, state: State, forces: tuple[Float, Float]) -> None:
         """Set the accelerations at the start of a motion, with internal and external forces (n_rows, dim) [force]."""
         inertia = self._moving
-        for (_, rigid), off in zip(
-            self._bodies, self.unbalanced(state, forces, inertia.damped(inertia.v)), strict=True
-        ):
+        for rigid, off in self.unbalanced(state, forces, inertia.damped(inertia.v)):
             rigid.begin(off)
 
     def predict(self, t: float) -> None:
@@ -305,7 +301,7 @@ class RigidBodies:
 
     def land(self, state: State, forces: tuple[Float, Float], damping: Float, dt: float) -> None:
         """Set the rates at the end of a time step of central differences; arguments as for ``unbalanced``."""
-        for (_, rigid), off in zip(self._bodies, self.unbalanced(state, forces, damping), strict=True):
+        for rigid, off in self.unbalanced(state, forces, damping):
             rigid.land(off, dt)
         inertia = self._moving
         inertia.v[:] = inertia.with_bodies(inertia.v, state.own, state.t)
@@ -315,8 +311,7 @@ class RigidBodies:
 
         Return the change of the kinetic energy of central differences of the step ``dt`` [energy].
         """
-        off = self.unbalanced(state, forces, damping)
-        return sum(rigid.push(one, dt) for (_, rigid), one in zip(self._bodies, off, strict=True))
+        return sum(rigid.push(off, dt) for rigid, off in self.unbalanced(state, forces, damping))
 
     @property
     def _moving(self) -> Inertia:

@@ -57,7 +57,7 @@ class SnesSolver(StepSolver):
         self._n_u = problem.supports.fixed.size
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
-        self._rigid = RigidBodies.of(problem, self._equilibrium.size)
+        self._bodies = RigidBodies(problem, self._equilibrium.size)
         self.snes = PETSc.SNES().create(comm=self._comm)
         # Whether the energy rises along the last step of the linear solver.
         self._rises = False
@@ -180,12 +180,12 @@ class SnesSolver(StepSolver):
                     sought.reason = ""
                     sought.impose(sought.t)
                     start = sought.at_prescribed(moved)
-                    sought.rebalance(start, self._rigid.way if self._rigid else 0.0)
+                    sought.rebalance(start, self._bodies.way)
                     linear += self._iterate(start)
                     resting = sought.at_rest(self._read(self._x), self.rtol)
                     continue
-                if self._rigid is not None and self._rigid.objection:
-                    sought.reason = self._rigid.objection
+                if self._bodies.objection:
+                    sought.reason = self._bodies.objection
                     return False, linear
                 state = self.problem.state(found, sought.t)
                 objection = self.problem.objection(state)
@@ -199,8 +199,6 @@ class SnesSolver(StepSolver):
 
     def _balanced(self, state: State) -> Float | None:
         """Move loaded rigid bodies; return the unknowns to solve from again, None if they are in equilibrium."""
-        if self._rigid is None:
-            return None
 
         def reply() -> Callable[[Float], Float]:
             sought, ksp = self._equilibrium, self.snes.getKSP()
@@ -208,7 +206,7 @@ class SnesSolver(StepSolver):
             ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
             return self._reply
 
-        return self._rigid.moved(state, reply, self.rtol)
+        return self._bodies.moved(state, reply, self.rtol)
 
     def _reply(self, force: Float) -> Float:
         """Solve the last tangent for forces (n_rows, dim) [force]; return the displacements (n_rows, dim) [length]."""
@@ -244,10 +242,10 @@ class SnesSolver(StepSolver):
         if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
         found = None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
-        if found is None or self._rigid is None:
+        if found is None or not self._bodies:
             return found
         at = self._equilibrium.at_prescribed(self._read(self._x))
-        return found + self._rigid.unstable(self.problem.state(at, self._equilibrium.t), self._reply)
+        return found + self._bodies.unstable(self.problem.state(at, self._equilibrium.t), self._reply)
 
     def _answer(self, b: Float) -> Float:
         """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""

@@ -87,7 +87,7 @@ class ExplicitSolver(Solver):
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
         self._steps = 0
-        self._rigid = RigidBodies.of(problem)
+        self._bodies = RigidBodies(problem)
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
         self._rigid_damping = largest_of(problem.body.cloud.comm, self._inertia.rate_of_rigid)
@@ -128,8 +128,8 @@ class ExplicitSolver(Solver):
         balance = MotionBalance(problem, inertia, start.resume, tells=True)
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
-        if start.t == 0.0 and self._rigid is not None:
-            self._rigid.begin(state, forces(problem, state))
+        if start.t == 0.0 and self._bodies:
+            self._bodies.begin(state, forces(problem, state))
         resume = start.resume
         largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
         self._steps = int(resume.get(STEPS, 0))
@@ -269,7 +269,7 @@ class ExplicitSolver(Solver):
         k = np.maximum(k, SOFTEST * largest_of(comm, k, initial=0.0))
         half = 0.5 * dt / self._declared.safety
         square = 1.0 / (half**2 + half * inertia.damping_time)
-        square -= 0.0 if self._rigid is None else self._rigid.frequency_squared(rest)
+        square -= self._bodies.frequency_squared(rest)
         if square <= 0.0:
             raise CaseError(
                 "A rigid body is too light for the least_step of Explicit. Use a smaller one, or a larger mass."
@@ -279,7 +279,7 @@ class ExplicitSolver(Solver):
     def _frequency(self, u: Float, t: float) -> float:
         state = self._problem.state(u, t)
         found = largest_frequency(self._problem, state, self._inertia.mass)
-        return found if self._rigid is None else math.sqrt(found**2 + self._rigid.frequency_squared(state))
+        return math.sqrt(found**2 + self._bodies.frequency_squared(state)) if self._bodies else found
 
     def _stable(self, frequency: float) -> float:
         """Return the time step for a largest frequency, with the damping ratio of its mode."""
@@ -296,8 +296,7 @@ class ExplicitSolver(Solver):
         n, held = len(inertia.mass), fixed[: len(inertia.mass)]
         problem.start_from(problem.state(u, problem.converged))
         half = inertia.v + 0.5 * dt * inertia.a
-        if self._rigid is not None:
-            self._rigid.fly(t, dt)
+        self._bodies.fly(t, dt)
         moved = u.copy()
         moved[:n] += dt * half
         if self._held:
@@ -305,7 +304,7 @@ class ExplicitSolver(Solver):
             half = np.where(held, (moved[:n] - u[:n]) / dt, half)
         viscous = self._viscous(u, half)
         # Dampers on rigid regions: the velocity at the end of the step if the acceleration remains.
-        ahead = 2.0 * half - inertia.v if self._rigid is not None else half
+        damping = viscous + inertia.damped(2.0 * half - inertia.v) if self._bodies else viscous
 
         def place(internal: Float, external: Float) -> None:
             a = inertia.accelerated_by((external - internal)[:n] - viscous, half, dt)
@@ -314,8 +313,8 @@ class ExplicitSolver(Solver):
         state = problem.state(moved, t)
         acting = forces(problem, state)
         place(*acting)
-        if self._rigid is not None:
-            self._rigid.land(state, acting, viscous + inertia.damped(ahead), dt)
+        if self._bodies:
+            self._bodies.land(state, acting, damping, dt)
         balance.move(state, *acting, viscous)
         damage = problem.bond_damage
         if damage is None or not damage.fails(state):
@@ -332,8 +331,7 @@ class ExplicitSolver(Solver):
         place(*acting)
         inertia.v[:] = v
         kinetic = float(total(problem.body.cloud.comm, kinetic - inertia.energy_of_free(dt)))
-        damping = viscous + inertia.damped(ahead)
-        pushed = 0.0 if self._rigid is None else self._rigid.push(after, acting, damping, dt)
+        pushed = self._bodies.push(after, acting, damping, dt)
         balance.fail(before - balance.stored(after) + kinetic, after, *acting, pushed)
         return moved, broken
 

@@ -96,8 +96,7 @@ class ImplicitSolver(TimeStepSolver):
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find the end of the time step to load parameter ``t`` (collective)."""
         self._inertia.step_to(t)
-        if self._rigid is not None:
-            self._rigid.predict(t)
+        self._bodies.predict(t)
         self._inertia.held = held_velocity(self.problem, t, t - self.problem.converged)
         return super().solve(u, t)
 
@@ -153,8 +152,8 @@ class ImplicitSolver(TimeStepSolver):
         problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
         found = forces(problem, state)
-        if start.t == 0.0 and self._rigid is not None:
-            self._rigid.begin(state, found)
+        if start.t == 0.0:
+            self._bodies.begin(state, found)
         inertia.begin_step(*found)
         balance.begin(state, *found)
         recorded = start.t
@@ -163,9 +162,9 @@ class ImplicitSolver(TimeStepSolver):
             state = problem.state(converged.u, converged.t)
             inertia.begin_step(*(found := forces(problem, state)))
             balance.move(state, *found)
-            if self._declared.conserving and self._rigid is not None:
+            if self._declared.conserving and self._bodies:
                 # The stress of a step is not that at its end.
-                self._rigid.push(state, found, inertia.damped(inertia.v))
+                self._bodies.push(state, found, inertia.damped(inertia.v))
             number += 1
             failures += converged.failures
             broken, sweeps = broken + converged.broken, sweeps + converged.sweeps

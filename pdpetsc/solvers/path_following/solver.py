@@ -23,7 +23,6 @@ from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, fol
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.measures import BAND, Constraint, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
-from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.snes import ROUGH, SnesSolver
 
 # A load factor above this multiple of the highest one so far indicates a body without load capacity.
@@ -91,7 +90,6 @@ class PathSolver(SnesSolver):
         )
         # Change of the unknowns with the load factor if the independent ones do not move [length].
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
-        self._bodies = RigidBodies(problem, self._equilibrium.size)
         self._bodies.follow_load()
         # Loads on them at load factor 1 [force].
         self._on_bodies = self._bodies.loads
@@ -279,7 +277,7 @@ class PathSolver(SnesSolver):
     def _impose(self, load: float) -> None:
         """Set the conditions of a load factor, with the bodies where they are."""
         prescribed, loads = (load * one for one in self._whole)
-        if len(self._on_bodies):
+        if self._bodies:
             prescribed = self.problem.supports.prescribed(load)
             self._equilibrium.carry(abs(load) * float(np.abs(self._on_bodies).sum()), self._bodies.way)
         self._equilibrium.impose(load, prescribed, loads)
@@ -413,13 +411,13 @@ class PathSolver(SnesSolver):
     def _other_residuals(self, x: PETSc.Vec) -> Float:
         """Return the residuals of the constraint and of the balance of rigid bodies, on the last rank."""
         values, load = self._take(x)
-        off = self._bodies.unbalanced_at(self._equilibrium.state(values)) if len(self._on_bodies) else ()
+        off = self._bodies.unbalanced_at(self._equilibrium.state(values)) if self._bodies else ()
         found = np.append(self._force * self._missed(values, load), off) / self._scales.force
         return found[: x.getLocalSize() - self._n_u]
 
     def _others_converged(self, x: PETSc.Vec) -> bool:
         """Return True if the rigid bodies are in equilibrium with their loads."""
-        return not len(self._on_bodies) or self._bodies.balanced(self._equilibrium.state(self._read(x)), self.rtol)
+        return not self._bodies or self._bodies.balanced(self._equilibrium.state(self._read(x)), self.rtol)
 
     def _balanced(self, state: State) -> None:
         """Return None: the motions of rigid bodies are among the unknowns."""
@@ -432,7 +430,7 @@ class PathSolver(SnesSolver):
     def refuse_mechanism(self, u: Float) -> None:
         """Raise SolveError on all ranks if the body or a loaded region with it is free to move at ``u``."""
         super().refuse_mechanism(u)
-        if len(self._on_bodies):
+        if self._bodies:
             sought, state = self._equilibrium, self.state(u)
             sought.update(state)
             bodies = self._bodies.coupled(state)

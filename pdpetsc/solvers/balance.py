@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
-from pdpetsc.solvers.protocol import StepResult
 
 # Tolerated decrease of the dissipated energy, as a share of the largest stored energy so far. Gradients of fewer bonds
 # may store more energy at the same displacement. If bonds of gradients soften or regain force, the forces have no
@@ -21,11 +19,6 @@ SHARE, SHARE_WITHOUT_POTENTIAL = 0.1, 1.0
 # Names in a checkpoint of the largest stored energy of the run, and of the decrease of the dissipated energy below its
 # largest value [energy].
 LARGEST, FALLEN = "largest_energy", "fallen_energy"
-
-
-def judged(result: StepResult, wrong: str | None) -> StepResult:
-    """Return the outcome of a step, marked as not converged if its energy is wrong."""
-    return result if wrong is None else replace(result, converged=False, reason=wrong)
 
 
 class EnergyBalance:
@@ -87,16 +80,16 @@ class EnergyBalance:
         self._error += abs(float(sums[1])) if self._bends else 0.0
         self._u, self._force = u, force
 
-    def broken_by(self, state: State) -> str | None:
-        """Return the reason, in words, for rejecting a step that ends at the last passed state; None if it balances."""
+    def broken_by(self, state: State) -> str:
+        """Return the reason for refusing a step that ends at the last passed state; empty if its energy balances."""
         if not self.judges:
-            return None
+            return ""
         self._found = stored, by_laws = self._held(state)
         gained = (stored - self._energy[0]) + (by_laws - self._energy[1])
         largest = max(self._largest, stored)
         self._falls = max(self._fallen + gained - self.work - self._error, 0.0)
         if self._falls <= self._share * largest:
-            return None
+            return ""
         return (
             f"the energy does not balance, as if breaking bonds had given back {self._falls:.3g} of what they "
             f"dissipated, where the body has stored {largest:.3g} at most"

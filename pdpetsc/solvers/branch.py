@@ -81,8 +81,7 @@ class BranchSwitch:
                 comm = self.solver.problem.body.cloud.comm
                 away = largest(comm, np.abs(u - begin), initial=0.0)
                 return u, replace(first, negative_pivots=0, switched=away)
-        reason = "the equilibrium is unstable, and no stable one was found along its eigenvector"
-        return u, replace(first, converged=False, reason=reason)
+        return u, first.refused("the equilibrium is unstable, and no stable one was found along its eigenvector")
 
     def mode(self, u: Float) -> Float | None:
         """Return the eigenvector (n_rows, dim) of the most negative eigenvalue of the tangent, or None.

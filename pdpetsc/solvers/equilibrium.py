@@ -17,7 +17,7 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.protocol import StepResult
+from pdpetsc.solvers.protocol import AT_FLOOR, StepResult
 
 # The residual cannot decrease below about this multiple of the round-off of K u.
 FLOOR = 20.0
@@ -84,8 +84,9 @@ class Equilibrium:
         [force].
     tolerance : float
         Tolerance of the residual norm at the last check [force].
-    reason : str
-        Reason of the last check for ending the solve.
+    accepted, objection : str
+        Reason of the last check for accepting the residual, and of another one for refusing the equilibrium; empty for
+        none.
 
     Notes
     -----
@@ -117,7 +118,7 @@ class Equilibrium:
         self.unbalanced: Float | None = None
         self.resisted = np.zeros(fixed.shape)
         self.reference = self.tolerance = 0.0
-        self.reason = ""
+        self.accepted = self.objection = ""
         self._reaction = np.zeros(fixed.shape)
         self._loads: Float | None = None
         self._start = np.zeros(fixed.shape)
@@ -240,10 +241,10 @@ class Equilibrium:
         if self._lost:
             return None
         if residual <= self.tolerance:
-            self.reason = "residual below tolerance"
+            self.accepted = "residual below tolerance"
             return int(reason.CONVERGED_FNORM_RELATIVE)
         if iteration > 0 and residual <= floor and residual > STAGNATION * self.norms[-2]:
-            self.reason = "residual at the round-off floor"
+            self.accepted = AT_FLOOR
             return int(reason.CONVERGED_FNORM_ABS)
         return None
 
@@ -323,7 +324,7 @@ class Equilibrium:
     def interrupted(self) -> int:
         """Return PETSc's reason for a solve that a signal stops (not collective)."""
         reason = PETSc.SNES.ConvergedReason
-        self.reason = "a signal asked the run to stop"
+        self.objection = "a signal asked the run to stop"
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
     def begin(self, u: Float) -> bool:
@@ -331,7 +332,8 @@ class Equilibrium:
 
         Return True if the preconditioner has a new ``Mat``, as it may after bonds have broken.
         """
-        self.norms, self.reason, self._start, self._moved, self._longest = [], "", u, (0.0, 0.0), 0
+        self.accepted = self.objection = ""
+        self.norms, self._start, self._moved, self._longest = [], u, (0.0, 0.0), 0
         if self.problem.springs is not None:
             self.problem.springs.hold(u)
         self.problem.start_from(self.problem.state(u, self.t))
@@ -347,7 +349,7 @@ class Equilibrium:
 
     def start_over(self) -> None:
         """Forget a failed attempt from another start of the same solve."""
-        self.reason, self._longest = "", 0
+        self.accepted, self._longest = "", 0
         self.norms.clear()
         self.forget()
 
@@ -378,13 +380,11 @@ class Equilibrium:
         ``converged`` states whether the residual is within the tolerance (``judge``).
         """
         iterations = max(len(self.norms) - 1, 0)
-        words = self.reason or _words(reason, linear_reason)
-        # Reasons of the checks that follow a converged solve.
-        rejected = bool(self.reason) and not self.reason.startswith("residual ")
-        if reason > 0 and not converged and not rejected:
+        words = self.objection or self.accepted or _words(reason, linear_reason)
+        if reason > 0 and not (converged or self.objection):
             words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
         first, most = self._moved
-        if not (converged or self.reason):
+        if not (converged or self.objection or self.accepted):
             if self._loaded and most > RUNAWAY * first:
                 words = f"{words}, and {BEYOND_LIMIT}"
             elif self._lost:
@@ -410,7 +410,7 @@ class Equilibrium:
             self.problem.springs.move(u)
 
     def at_rest(self, x: Float, rtol: float) -> bool:
-        """Return True if forces balance at ``x`` without the springs of loose particles; else set ``reason``.
+        """Return True if forces balance at ``x`` without the springs of loose particles; else set ``objection``.
 
         A load on a loose piece is balanced by nothing else, however far the piece moves.
         """
@@ -421,7 +421,7 @@ class Equilibrium:
         force = norm(self.problem.body.cloud.comm, held)
         resting = force <= max(self._tolerance(x, rtol))
         if not resting:
-            self.reason = HELD_BY_NOTHING
+            self.objection = HELD_BY_NOTHING
         return resting
 
 

@@ -35,8 +35,6 @@ FIRST = 1e-6
 # Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. What a sweep has too much
 # stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
 SWEPT = 1e-5
-# Reason for accepting an equilibrium that sweeps alone have found.
-SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
 FOLLOWING = 50
 
@@ -210,10 +208,7 @@ def equilibrium(
     if stop():
         return attempt, result, broken, 0
     problem.revert_bonds()  # fields that were solved for stay
-    found = settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
-    attempt, result, broken, sweeps = found
-    judged = result.converged and not (damage_of(solver).forces_have_energy and result.reason != SETTLED_ONLY)
-    return attempt, replace(result, growth=solver.growth(attempt) if judged else 0.0), broken, sweeps
+    return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
 
 
 def seeks_minimum(solver: StepSolver) -> bool:
@@ -316,7 +311,8 @@ def settle(
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:
-            return u, replace(result, reason=SETTLED_ONLY, negative_pivots=None), broken, sweep
+            result = replace(result, reason="damage settled", negative_pivots=None, growth=solver.growth(u))
+            return u, result, broken, sweep
         # Without an energy Newton starts from an exact sweep.
         if more or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
@@ -331,13 +327,14 @@ def settle(
             damage.freeze(not energy)
             more = fail(attempt)
             if not more:
-                return attempt, closed, broken, sweep
+                growth = 0.0 if energy else solver.growth(attempt)
+                return attempt, replace(closed, growth=growth), broken, sweep
             u, broken = attempt, broken + more
         elif reversible:
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
-            return u, replace(closed, converged=False, reason=reason), broken, sweep
+            return u, closed.refused(reason), broken, sweep
         else:
             near = 0.1 * tried
             solver.return_to(at)
             problem.reset_bonds(taken)
-    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most
+    return u, result.refused(f"damage did not settle in {most} sweeps"), broken, most

@@ -117,8 +117,8 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         resting, more = self._rested()
         reason, found = self.snes.getConvergedReason(), self._read(self._x)
         # The convergence test of this solver has seen the residual, unless SNES passes the norm of another vector.
-        seen = sought.reason != "" and not self.snes.hasNPC()
-        converged = reason > 0 and resting and (seen or self._judged(self._x))
+        seen = sought.accepted and not self.snes.hasNPC()
+        converged = reason > 0 and resting and bool(seen or self._judged(self._x))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear + more)
         if converged:
             result = replace(result, negative_pivots=self._pivots())
@@ -197,9 +197,9 @@ class StaticSolver(SnesSolver, LoadStepSolver):
                 break
             sought.impose(sought.t)
         else:
-            sought.reason = UNBALANCED
-        sought.reason = self._bodies.objection or sought.reason or self.problem.objection(self.state(u))
-        if sought.reason:
+            sought.objection = UNBALANCED
+        sought.objection = self._bodies.objection or sought.objection or self.problem.objection(self.state(u))
+        if sought.objection:
             return u, sought.result(False, 0, 0, 0)
         return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
 
@@ -207,7 +207,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         """Run SNES from ``start``, with full steps if its line search fails; return the linear iterations."""
         linear = self._run(start)
         if self._failed() and line_search(self.snes) == SECANTS and not self.stop():
-            self._equilibrium.reason = ""
+            self._equilibrium.accepted = ""
             with full_steps(self.snes):
                 linear += self._run(start)
         return linear
@@ -216,8 +216,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         """Return True if SNES has ended without an equilibrium, for any reason."""
         if self.snes.getConvergedReason() < 0:
             return True
-        judged = self._equilibrium.reason != ""
-        return not judged and not self._judged(self._x)
+        return not (self._equilibrium.accepted or self._judged(self._x))
 
     def _create(self) -> PETSc.Vec:
         """Create a PETSc vector of the unknowns."""

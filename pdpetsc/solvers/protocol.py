@@ -14,6 +14,9 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
+# Reason for accepting a residual above the tolerance.
+AT_FLOOR = "residual at the round-off floor"
+
 
 @dataclass(frozen=True)
 class StepResult:
@@ -60,6 +63,10 @@ class StepResult:
     growth: float = 0.0
     moved: float = 0.0
     switched: float = 0.0
+
+    def refused(self, reason: str) -> StepResult:
+        """Return this outcome as one that has not converged."""
+        return replace(self, converged=False, reason=reason)
 
     def after(self, *before: StepResult) -> StepResult:
         """Return this outcome with the iterations of the solves before it, easy only if all were."""
@@ -270,7 +277,7 @@ class Solver(ABC):
         return (
             f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit} iterations{inner}, "
             f"residual {last:.1e}"
-            f"{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"{' (round-off floor)' if result.reason == AT_FLOOR else ''}"
             f"{f', unstable equilibrium ({pivots}), as after buckling or a peak load' if negative else ''}"
             f"{f', moved for {result.moved:.3g} to rest' if result.moved else ''}"
             f"{f', switched to the stable branch, {result.switched:.3g} away' if result.switched else ''}"
@@ -358,7 +365,7 @@ class StepSolver(Solver):
 
         The outcome has not converged if none is found. Solvers without a tangent find none.
         """
-        return u, replace(result, converged=False, reason="this solver finds no stable equilibrium")
+        return u, result.refused("this solver finds no stable equilibrium")
 
     def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
         """Find the equilibrium at load parameter ``t`` to which the body moves from ``u`` if the step has none.

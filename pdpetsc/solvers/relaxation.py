@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -105,7 +104,7 @@ class RelaxationSolver(LoadStepSolver):
         if result.converged:
             objection = self.problem.objection(self.problem.state(moved, t))
             if objection:
-                result = replace(result, converged=False, reason=objection)
+                result = result.refused(objection)
         return moved, result
 
     def _relax(self, start: Float) -> tuple[Float, StepResult]:

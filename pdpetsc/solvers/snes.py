@@ -165,7 +165,7 @@ class SnesSolver(StepSolver):
             # Solve again from this state, in which the moved springs have no force.
             rest = sought.at_prescribed(self._read(self._x))
             sought.move_springs(rest)
-            sought.reason = ""
+            sought.accepted = sought.objection = ""
             linear += self._iterate(rest)
             resting = sought.at_rest(self._read(self._x), self.rtol)
         moved: Float | None = None
@@ -174,27 +174,20 @@ class SnesSolver(StepSolver):
             if not resting or self.snes.getConvergedReason() <= 0:
                 return resting, linear
             state = self.problem.state(found, sought.t)
-            if self._unchanged(state) and not self.problem.update_multipliers(state):
-                moved = self._balanced(state)
-                if moved is not None:
-                    sought.reason = ""
-                    sought.impose(sought.t)
-                    start = sought.at_prescribed(moved)
-                    sought.rebalance(start, self._bodies.way)
-                    linear += self._iterate(start)
-                    resting = sought.at_rest(self._read(self._x), self.rtol)
-                    continue
-                if self._bodies.objection:
-                    sought.reason = self._bodies.objection
-                    return False, linear
+            unchanged = self._unchanged(state) and not self.problem.update_multipliers(state)
+            moved = self._balanced(state) if unchanged else None
+            if moved is not None:
+                sought.impose(sought.t)
+                found = sought.at_prescribed(moved)
+                sought.rebalance(found, self._bodies.way)
+            elif unchanged:
                 state = self.problem.state(found, sought.t)
-                objection = self.problem.objection(state)
-                sought.reason = objection or sought.reason
-                return not objection, linear
-            moved, sought.reason = None, ""
+                sought.objection = self._bodies.objection or self.problem.objection(state)
+                return not sought.objection, linear
+            sought.accepted = ""
             linear += self._iterate(found)
             resting = sought.at_rest(self._read(self._x), self.rtol)
-        sought.reason = UNBALANCED if moved is not None else UNSETTLED
+        sought.objection = UNBALANCED if moved is not None else UNSETTLED
         return False, linear
 
     def _balanced(self, state: State) -> Float | None:
@@ -311,7 +304,7 @@ class SnesSolver(StepSolver):
         if verdict is None or verdict < 0:
             return verdict
         if not others:
-            sought.reason = ""
+            sought.accepted = ""
             return None
         # -snes_force_iteration: do not end a solve before its first iteration.
         return None if iteration == 0 and forces_iteration(snes) else verdict

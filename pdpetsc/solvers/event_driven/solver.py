@@ -35,6 +35,8 @@ UPDATES = 2.0
 FEWEST, MOST = 32, 400
 # After this number of consecutive events without motion the path is in a cycle.
 STANDSTILL = 1000
+# Reason for the end of a path at load parameter 1.
+WHOLE_LOAD = "the whole load"
 # Number of events that are all printed, and the interval of printed events afterwards.
 FIRST_EVENTS, EVENTS_A_LINE = 10, 100
 
@@ -129,7 +131,7 @@ class EventSolver(Solver):
     def line(self, number: int, converged: Converged) -> str | None:
         """Return the printed line of an event: of the first ones, every hundredth, and the last."""
         reason = converged.result.reason
-        if number > FIRST_EVENTS and number % EVENTS_A_LINE and reason.startswith("bond"):
+        if number > FIRST_EVENTS and number % EVENTS_A_LINE and reason != WHOLE_LOAD:
             return None
         return f"event {number:5d}  t = {converged.t:<10.6g} {reason}"
 
@@ -165,7 +167,7 @@ class EventSolver(Solver):
             self._e += step * de
             self._move(ahead, step)
             done = fails is None and breaks is None
-            reason = "the whole load" if done else self._begin(fails) if fails is not None else self._break(breaks)
+            reason = WHOLE_LOAD if done else self._begin(fails) if fails is not None else self._break(breaks)
             highest = max(highest, abs(t))
             done = done or (not self._changed.failing and abs(t) <= UNLOADED * highest)
             still = still + 1 if step == 0.0 else 0

@@ -16,7 +16,7 @@ from pdpetsc.petsc.library import linear_solver, with_tolerance
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.balance import EnergyBalance, judged
+from pdpetsc.solvers.balance import EnergyBalance
 from pdpetsc.solvers.coupled_tangent import UNRESISTED
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
@@ -162,14 +162,15 @@ class PathSolver(SnesSolver):
             attempt, result, broken, sweeps = self._advance(u, size)
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and not self._constraint.by_load:
-                result = replace(result, converged=False, reason="the load factor jumped")
+                result = result.refused("the load factor jumped")
             if result.converged and load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
-                result = replace(result, converged=False, reason="the load factor jumped to the other sign")
+                result = result.refused("the load factor jumped to the other sign")
             if result.converged and self._constraint.by_load and self._measure.overshot(attempt, self.load):
-                result = replace(result, converged=False, reason="the measure grew by more than a step")
+                result = result.refused("the measure grew by more than a step")
             if result.converged:
                 balance.pass_by(self.state(attempt))
-                result = judged(result, balance.broken_by(self.state(attempt)))
+                wrong = balance.broken_by(self.state(attempt))
+                result = result.refused(wrong) if wrong else result
             if self.stop():
                 self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
@@ -232,9 +233,9 @@ class PathSolver(SnesSolver):
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
-        converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self.rtol)
+        converged = reason > 0 and resting and bool(sought.accepted) and sought.judge(values, self.rtol)
         if converged and not abs(self._missed(values, load)) <= MISSED * unit:
-            converged, sought.reason = False, "the measure did not grow by what it should"
+            converged, sought.objection = False, "the measure did not grow by what it should"
         self.load = self.t = load if converged else of.load0
         if not converged:
             self._bodies.place(motions)

@@ -46,12 +46,9 @@ class LoadStepSolver(StepSolver):
     ----------
     steps : Steps or AdaptiveSteps
         Load steps.
-    stop : callable
-        Called between attempts, collectively; True ends the march (a signal arrived).
     """
 
     steps: Steps | AdaptiveSteps
-    stop: Callable[[], bool]
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
@@ -64,112 +61,116 @@ class LoadStepSolver(StepSolver):
         super().resume(start)
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield the converged load steps (collective)."""
-        return load_steps(self, self.steps, start, self.stop, on_failure)
+        """Yield the converged load steps from ``start`` to load parameter 1, with the step size of a checkpoint.
+
+        Bonds break at equilibrium, the most overstretched first. The same load is solved again until no bond breaks.
+
+        If Newton with damage that follows the displacement fails or jumps, sweeps replace it. Sweeps alternate
+        equilibrium with damage held and damage at that equilibrium, until neither changes. They end because damage only
+        grows. Bonds with reversible damage also break if Newton converges without a jump. In sweeps they do not regain
+        force; a last solve by Newton lets them.
+
+        A failed step is halved and restarts from the last converged state. After an easy step the size grows by half,
+        up to the largest. Solvers with inertia (``moved_to_rest``) continue the smallest step as a motion.
+
+        From an unstable equilibrium the solver switches to a stable one at the same load, if the steps declare it.
+
+        Raises
+        ------
+        SolveError
+            The smallest step failed, or the first equilibrium is not unique. The states yielded before are valid.
+        Interrupted
+            A signal requested a stop.
+
+        Notes
+        -----
+        Collective.
+        """
+        steps = self.steps
+        u, t = start.u, start.t
+        dt = min(start.resume.get(LOAD_STEP, steps.first), steps.largest)
+        stops = steps.stops()
+        failures: list[StepResult] = []
+        converged_once = False
+        while t < 1.0 - SAME_TIME:
+            ahead = next(s for s in stops if s > t + SAME_TIME)
+            target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
+            self.problem.advance(t, target)
+            attempt, result, broken, sweeps = equilibrium(self, steps.bonds_at_once, u, target)
+            if result.converged and steps.unstable != "warn":
+                attempt, result = _stable(self, steps.unstable, attempt, result, t, target)
+            growth = 0.0
+            if result.converged:
+                growth, reason = self.too_long(attempt, steps)
+                if growth > 1.0:
+                    result = result.refused(reason)
+            if self.stop():
+                self.problem.revert()
+                raise Interrupted(
+                    f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
+                )
+            if result.converged:
+                if not converged_once:
+                    self.refuse_mechanism(attempt)
+                    converged_once = True
+                if result.easy:
+                    dt = min(dt * (GROWTH if growth * GROWTH <= 1.0 else 1.0 / growth), steps.largest)
+            else:
+                self.problem.revert()
+                failures.append(result)
+                dt = 0.5 * (target - t)
+                on_failure(t, dt, result)
+                if dt >= steps.least:
+                    continue
+                moved = self.moved_to_rest(u, target)
+                if moved is None:
+                    last = result.norms[-1] if result.norms else float("nan")
+                    raise SolveError(
+                        f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, "
+                        f"residual {last:.3e} against {result.reference:.3e} after {result.iterations} iterations; "
+                        f"{self.advice}."
+                    )
+                attempt, result, broken, sweeps = moved
+                dt = steps.first
+            u, t = attempt, target
+            self.problem.commit(self.state(u))
+            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
+            failures = []
 
 
-def load_steps(
-    solver: StepSolver, steps: Steps | AdaptiveSteps, start: Start, stop: Callable[[], bool], on_failure: OnFailure
-) -> Iterator[Converged]:
-    """Yield converged steps from ``start`` to load parameter 1, beginning with the step size of a checkpoint.
-
-    Bonds break at equilibrium, the most overstretched first. The same load is solved again until no bond breaks.
-
-    If Newton with damage that follows the displacement fails or jumps, sweeps replace it. Sweeps alternate equilibrium
-    with damage held and damage at that equilibrium, until neither changes. They end because damage only grows. Bonds
-    with reversible damage also break if Newton converges without a jump. In sweeps they do not regain force; a last
-    solve by Newton lets them.
-
-    A failed step is halved and restarts from the last converged state. After an easy step the size grows by half, up to
-    the largest. Solvers with inertia (``moved_to_rest``) continue the smallest step as a motion.
-
-    From an unstable equilibrium the solver switches to a stable one at the same load, if the steps declare it.
+def _stable(
+    solver: StepSolver, unstable: str, u: Float, result: StepResult, t: float, target: float
+) -> tuple[Float, StepResult]:
+    """Refuse an unstable equilibrium at ``target``, or switch to a stable one, as ``Steps.unstable`` declares.
 
     Raises
     ------
     SolveError
-        The smallest step failed, or the first equilibrium is not unique. The states yielded before are valid.
-    Interrupted
-        A signal requested a stop.
-
-    Notes
-    -----
-    Collective.
+        The equilibrium is unstable and the run ends, or nothing tells whether it is; ``t`` is the last step.
     """
-    u, t = start.u, start.t
-    dt = min(start.resume.get(LOAD_STEP, steps.first), steps.largest)
-    stops = steps.stops()
-    failures: list[StepResult] = []
-    converged_once = False
-    while t < 1.0 - SAME_TIME:
-        ahead = next(s for s in stops if s > t + SAME_TIME)
-        target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
-        solver.problem.advance(t, target)
-        attempt, result, broken, sweeps = equilibrium(solver, steps.bonds_at_once, u, target, stop)
-        judged = result.negative_pivots is not None or result.linear_iterations == 0
-        if result.converged and steps.unstable != "warn" and not judged:
-            solver.problem.revert()
-            raise SolveError(
-                f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
-                f'"{steps.unstable}") asks for: only -pc_type cholesky of a symmetric tangent, with MUMPS, counts its '
-                f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
-                f'{t:.6g}; take unstable="warn" to go on without.'
-            )
-        if result.converged and result.negative_pivots and steps.unstable == "switch":
-            attempt, result = solver.switched(attempt, result)
-        if result.converged and result.negative_pivots and steps.unstable != "warn":
-            result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
-            if steps.unstable == "refuse":
-                solver.problem.revert()
-                raise SolveError(
-                    f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
-                    f"the body to find the stable branch, or follow the path."
-                )
-        growth = 0.0
-        if result.converged:
-            growth, reason = solver.too_long(attempt, steps)
-            if growth > 1.0:
-                result = replace(result, converged=False, reason=reason)
-        if stop():
-            solver.problem.revert()
-            raise Interrupted(
-                f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
-            )
-        if result.converged and not converged_once:
-            solver.refuse_mechanism(attempt)
-            converged_once = True
-        if result.converged:
-            u, t = attempt, target
-            solver.problem.commit(solver.state(u))
-            if result.easy:
-                dt = min(dt * (GROWTH if growth * GROWTH <= 1.0 else 1.0 / growth), steps.largest)
-            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
-            failures = []
-            continue
+    if result.negative_pivots is None and result.linear_iterations:
         solver.problem.revert()
-        failures.append(result)
-        dt = 0.5 * (target - t)
-        on_failure(t, dt, result)
-        if dt < steps.least and (moved := solver.moved_to_rest(u, target)) is not None:
-            u, result, broken, sweeps = moved
-            t, dt = target, steps.first
-            solver.problem.commit(solver.state(u))
-            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
-            failures = []
-        elif dt < steps.least:
-            last = result.norms[-1] if result.norms else float("nan")
+        raise SolveError(
+            f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
+            f'"{unstable}") asks for: only -pc_type cholesky of a symmetric tangent, with MUMPS, counts its '
+            f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
+            f'{t:.6g}; take unstable="warn" to go on without.'
+        )
+    if result.negative_pivots and unstable == "switch":
+        u, result = solver.switched(u, result)
+    if result.converged and (pivots := result.negative_pivots):
+        result = result.refused(f"the equilibrium is unstable, with {pivots} negative pivot{'s' if pivots > 1 else ''}")
+        if unstable == "refuse":
+            solver.problem.revert()
             raise SolveError(
-                f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
-                f"{last:.3e} against {result.reference:.3e} after {result.iterations} iterations; {solver.advice}."
+                f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
+                f"the body to find the stable branch, or follow the path."
             )
-
-
-def _unstable(pivots: int) -> str:
-    return f"the equilibrium is unstable, with {pivots} negative pivot{'s' if pivots > 1 else ''}"
+    return u, result
 
 
 def equilibrium(
-    solver: StepSolver, bonds_at_once: int | None, u: Float, target: float, stop: Callable[[], bool]
+    solver: StepSolver, bonds_at_once: int | None, u: Float, target: float
 ) -> tuple[Float, StepResult, int, int]:
     """Find equilibrium with damage at ``target``; return unknowns, outcome, broken bonds and sweeps.
 
@@ -190,7 +191,7 @@ def equilibrium(
     if not has_energy and result.converged and damage.fading(solver.state(attempt)) <= GENTLE:
         attempt, exact = solver.solve(attempt, target)
         result = exact.after(result)
-    while not stop() and result.converged:
+    while not solver.stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
         # A minimum is accepted at any distance. Along a path the energy balance limits the step.
@@ -205,7 +206,7 @@ def equilibrium(
             break
         broken += more
         attempt, result = solver.solve(attempt, target)
-    if stop():
+    if solver.stop():
         return attempt, result, broken, 0
     problem.revert_bonds()  # fields that were solved for stay
     return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))

@@ -311,9 +311,12 @@ class StepSolver(Solver):
         Load factor of the last equilibrium, for solvers that compute it [-].
     t : float
         Load parameter of the last solve [-].
+    stop : callable
+        Called between and within solves, collectively; True ends the march (a signal arrived).
     """
 
     problem: Problem
+    stop: Callable[[], bool]
     load: float = 0.0
     t: float = 0.0
     # Whether an equilibrium must be a minimum of the energy. Along a path the load is not constant.

@@ -29,7 +29,7 @@ from pdpetsc.solvers.dynamics.motion import (
     printed,
     resume_motion,
 )
-from pdpetsc.solvers.load_steps import equilibrium, load_steps
+from pdpetsc.solvers.load_steps import equilibrium
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 
@@ -102,7 +102,7 @@ class ImplicitSolver(TimeStepSolver):
 
     def _equilibrate(self, u: Float) -> tuple[Float, StepResult]:
         """Find the equilibrium at step time 0, without inertia."""
-        found, result, _, _ = equilibrium(self, None, u, 0.0, self.stop)
+        found, result, _, _ = equilibrium(self, None, u, 0.0)
         if result.converged:
             self.refuse_mechanism(found)
         self._equilibrium.forget()
@@ -158,7 +158,7 @@ class ImplicitSolver(TimeStepSolver):
         balance.begin(state, *found)
         recorded = start.t
         number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
-        for converged in load_steps(self, self.steps, replace(start, u=u), self.stop, on_failure):
+        for converged in super().march(replace(start, u=u), on_failure):
             state = problem.state(converged.u, converged.t)
             inertia.begin_step(*(found := forces(problem, state)))
             balance.move(state, *found)

@@ -94,7 +94,7 @@ class SnapSolver(StaticSolver):
             with self._with_inertia():
                 motion.move(share)
             at = motion.u
-            found, result, broken, sweeps = equilibrium(self, self.steps.bonds_at_once, at, t, self.stop)
+            found, result, broken, sweeps = equilibrium(self, self.steps.bonds_at_once, at, t)
             self.refuse_stopped()
             stable = self.steps.unstable == "warn" or not result.negative_pivots
             if result.converged and stable and self._distance(found, at) <= NEAR * self._distance(at, u):
@@ -202,7 +202,7 @@ class _Motion:
         problem.start_from(problem.state(self.u, self._t))
         while True:
             inertia.step_by(self._dt)
-            attempt, result, broken, _ = equilibrium(solver, of.steps.bonds_at_once, self.u, self._t, of.stop)
+            attempt, result, broken, _ = equilibrium(solver, of.steps.bonds_at_once, self.u, self._t)
             self.iterations += result.iterations
             self.linear += result.linear_iterations
             of.refuse_stopped()

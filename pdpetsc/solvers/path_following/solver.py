@@ -291,7 +291,7 @@ class PathSolver(SnesSolver):
         """Let the measure grow by ``size``; return unknowns, outcome, broken bonds and sweeps."""
         options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._measure.holds_while_bonds_break:
-            return equilibrium(self, options.bonds_at_once, u, size, self.stop)
+            return equilibrium(self, options.bonds_at_once, u, size)
         attempt, result, sweeps = self._settle(u, size)
         most = self._measure.reached(attempt, self.load) if result.converged else 0.0
         while result.converged:

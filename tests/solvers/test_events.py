@@ -388,7 +388,7 @@ def test_directions_are_consistent(rng):
     for _ in range(200):
         r = int(rng.integers(1, 8))
         B = rng.standard_normal((r, r + 3))
-        bonds = Changed(4)
+        bonds = Changed()
         k = rng.uniform(0.5, 1.5, r)
         S = B @ B.T
         S /= 1.5 * np.linalg.eigvalsh(np.sqrt(k)[:, None] * S * np.sqrt(k)).max()

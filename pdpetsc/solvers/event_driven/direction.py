@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,57 +22,26 @@ class Changed:
 
     Attributes
     ----------
-    n : int
-        Number of changed bonds.
     failing : list of int
         Bonds that are losing force, in the order of their onset.
+    S : (n, n) float64
+        Elongations under unit tensions of the bonds in the factored body [length / force].
+    E : (n,) float64
+        Elongations under the whole load in the factored body [length].
+    k, base : (n,) float64
+        Elastic stiffness, and stiffness in the factored matrix [force / length].
+    limit, elongation : (n,) float64
+        Elongations of first failure, and current ones [length].
+    softness : (n,) float64
+        Change of elongation per change of force of failing bonds, at most 0 [length / force].
+    phi : (n,) float64
+        Ratio of current to elastic force [-].
     """
 
-    def __init__(self, capacity: int) -> None:
-        self.n = 0
+    def __init__(self) -> None:
         self.failing: list[int] = []
-        self._S = np.empty((capacity, capacity))
-        self._columns = np.empty((7, capacity))
-
-    @property
-    def S(self) -> Float:
-        """Return the elongations under unit tensions of the bonds in the factored body (n, n) [length / force]."""
-        return self._S[: self.n, : self.n]
-
-    @property
-    def E(self) -> Float:
-        """Return the elongations under the whole load in the factored body (n,) [length]."""
-        return self._columns[0, : self.n]
-
-    @property
-    def k(self) -> Float:
-        """Return the elastic stiffness (n,) [force / length]."""
-        return self._columns[1, : self.n]
-
-    @property
-    def limit(self) -> Float:
-        """Return the elongations of first failure (n,) [length]."""
-        return self._columns[2, : self.n]
-
-    @property
-    def base(self) -> Float:
-        """Return the stiffness in the factored matrix (n,) [force / length]."""
-        return self._columns[3, : self.n]
-
-    @property
-    def softness(self) -> Float:
-        """Return the change of elongation per change of force of failing bonds, at most 0 (n,) [length / force]."""
-        return self._columns[4, : self.n]
-
-    @property
-    def phi(self) -> Float:
-        """Return the ratio of current to elastic force (n,) [-]."""
-        return self._columns[5, : self.n]
-
-    @property
-    def elongation(self) -> Float:
-        """Return the current elongations (n,) [length]."""
-        return self._columns[6, : self.n]
+        self.S: Float = np.zeros((0, 0))
+        self.E = self.k = self.base = self.limit = self.elongation = self.softness = self.phi = np.zeros(0)
 
     @property
     def reach(self) -> Float:
@@ -93,14 +61,13 @@ class Changed:
         row : (n + 1,) float64
             Row of the bond in ``S``.
         """
-        m = self.n
-        if m == len(self._S):
-            self._S = np.pad(self._S, (0, m))
-            self._columns = np.pad(self._columns, ((0, 0), (0, m)))
-        self.n = m + 1
-        self._S[m, : m + 1] = self._S[: m + 1, m] = row
-        self._columns[:, m] = E, k, limit, phi * k, softness, phi, 0.0
-        return m
+        n = len(self.E)
+        self.S = np.pad(self.S, (0, 1))
+        self.S[n], self.S[:, n] = row, row
+        new = {"E": E, "k": k, "base": phi * k, "limit": limit, "elongation": 0.0, "softness": softness, "phi": phi}
+        for name, value in new.items():
+            setattr(self, name, np.append(getattr(self, name), value))
+        return n
 
 
 @dataclass(frozen=True)
@@ -150,8 +117,9 @@ def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
         return _along(bonds, [])
     for pace in reversed(bonds.failing):
         others = [m for m in [*bonds.failing, *waiting] if m != pace]
-        for out, switch in ((set(waiting) - {pace}, _all), (set(others), _worst), (set(waiting) - {pace}, _worst)):
-            found = _complementary(bonds, others, out, pace, switch)
+        failing_first = set(waiting) - {pace}
+        for out, at_once in ((failing_first, True), (set(others), False), (failing_first, False)):
+            found = _complementary(bonds, others, out, pace, at_once)
             if found is not None:
                 return found
     raise SolveError(
@@ -160,10 +128,7 @@ def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
     )
 
 
-def _complementary(
-    bonds: Changed, others: list[int], out: set[int], pace: int,
-    switch: Callable[[Changed, Direction, list[int], set[int]], set[int]],
-) -> Direction | None:  # fmt: skip
+def _complementary(bonds: Changed, others: list[int], out: set[int], pace: int, at_once: bool) -> Direction | None:
     """Switch bonds between failing and unloading until each is in its mode; None if the search cycles.
 
     Parameters
@@ -172,8 +137,8 @@ def _complementary(
         Bonds at their limit besides the bond with the fixed rate.
     out : set of int
         Bonds of these that unload initially.
-    switch : callable
-        Returns the bonds in a wrong mode that switch next.
+    at_once : bool
+        Whether all bonds in a wrong mode switch at once, or the worst one.
     """
     seen: set[frozenset[int]] = set()
     while frozenset(out) not in seen and len(seen) <= TRIED * (len(others) + 1):
@@ -183,21 +148,17 @@ def _complementary(
         wrong = [m for m in others if (found.elongation[m] > size if m in out else found.force[m] >= 0.0)]
         if not wrong:
             return found
-        out = out ^ switch(bonds, found, wrong, out)
+        out = out ^ (set(wrong) if at_once else {_worst(bonds, found, wrong, out)})
     return None
 
 
-def _all(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> set[int]:
-    return set(wrong)
-
-
-def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> set[int]:
+def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> int:
     """Return the bond with the largest elongation or gain of force relative to its limit."""
     excess = [
         found.elongation[m] / bonds.limit[m] if m in out else found.force[m] / (bonds.k[m] * bonds.limit[m])
         for m in wrong
     ]
-    return {wrong[int(np.argmax(excess))]}
+    return wrong[int(np.argmax(excess))]
 
 
 def _along(bonds: Changed, failing: list[int]) -> Direction:
@@ -211,7 +172,7 @@ def _along(bonds: Changed, failing: list[int]) -> Direction:
     M = bonds.S[numbers[:, None], numbers]
     M.flat[:: len(M) + 1] += np.concatenate([1.0 / change[elastic], c / factor])
     g = bonds.E[numbers]
-    p = np.zeros(bonds.n)
+    p = np.zeros_like(bonds.E)
     if failing:
         last = -bonds.k[failing[-1]] * bonds.limit[failing[-1]] * factor[-1]
         right = -last * M[:, -1]

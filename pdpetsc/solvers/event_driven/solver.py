@@ -184,7 +184,7 @@ class EventSolver(Solver):
     def _factor(self) -> None:
         self.solver.factor()
         self.factored += 1
-        self._changed = Changed(2 * self._updates)
+        self._changed = Changed()
         self._keys: list[Key] = []
 
     def _elongation(self, u: Float) -> Float:

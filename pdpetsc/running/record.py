@@ -134,10 +134,9 @@ def _peak_memory() -> int:
 
 def _of_step(step: int, converged: Converged, unit: str) -> dict[str, Any]:
     cut_backs = [_of_attempt(failure, unit) for failure in converged.failures]
-    damage = (
-        {"broken_bonds": converged.broken, "sweeps": converged.sweeps} if converged.broken or converged.sweeps else {}
-    )
-    return {"step": step, "t": converged.t, **_of_attempt(converged.result, unit), **damage, "cut_backs": cut_backs}
+    result = converged.result
+    damage = {"broken_bonds": result.broken, "sweeps": result.sweeps} if result.broken or result.sweeps else {}
+    return {"step": step, "t": converged.t, **_of_attempt(result, unit), **damage, "cut_backs": cut_backs}
 
 
 def _of_attempt(result: StepResult, unit: str) -> dict[str, Any]:

@@ -71,10 +71,7 @@ class BranchSwitch:
                 result = replace(result, negative_pivots=0)
             elif found is not None:
                 u, result = found
-                first = replace(
-                    result, iterations=first.iterations + result.iterations, easy=False,
-                    linear_iterations=first.linear_iterations + result.linear_iterations,
-                )  # fmt: skip
+                first = replace(result.after(first), easy=False)
             else:
                 break
             if not result.negative_pivots:

@@ -96,7 +96,7 @@ class LoadStepSolver(StepSolver):
             ahead = next(s for s in stops if s > t + SAME_TIME)
             target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
             self.problem.advance(t, target)
-            attempt, result, broken, sweeps = equilibrium(self, steps.bonds_at_once, u, target)
+            attempt, result = equilibrium(self, steps.bonds_at_once, u, target)
             if result.converged and steps.unstable != "warn":
                 attempt, result = _stable(self, steps.unstable, attempt, result, t, target)
             growth = 0.0
@@ -130,11 +130,11 @@ class LoadStepSolver(StepSolver):
                         f"residual {last:.3e} against {result.reference:.3e} after {result.iterations} iterations; "
                         f"{self.advice}."
                     )
-                attempt, result, broken, sweeps = moved
+                attempt, result = moved
                 dt = steps.first
             u, t = attempt, target
             self.problem.commit(self.state(u))
-            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
+            yield Converged(u, t, result, failures, {LOAD_STEP: dt})
             failures = []
 
 
@@ -169,10 +169,8 @@ def _stable(
     return u, result
 
 
-def equilibrium(
-    solver: StepSolver, bonds_at_once: int | None, u: Float, target: float
-) -> tuple[Float, StepResult, int, int]:
-    """Find equilibrium with damage at ``target``; return unknowns, outcome, broken bonds and sweeps.
+def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target: float) -> tuple[Float, StepResult]:
+    """Find equilibrium with damage at ``target``; return unknowns and outcome.
 
     ``bonds_at_once`` is the number of bonds that break at once (``Steps``).
     """
@@ -185,7 +183,7 @@ def equilibrium(
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
             broken += more
             attempt, result = solver.solve(attempt, target)
-        return attempt, result, broken, 0
+        return attempt, replace(result, broken=broken)
     damage = damage_of(solver)
     reversible = damage.reversible
     if not has_energy and result.converged and damage.fading(solver.state(attempt)) <= GENTLE:
@@ -201,13 +199,13 @@ def equilibrium(
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:
-            return attempt, result, broken, 0
+            return attempt, replace(result, broken=broken)
         if not reversible:
             break
         broken += more
         attempt, result = solver.solve(attempt, target)
     if solver.stop():
-        return attempt, result, broken, 0
+        return attempt, result
     problem.revert_bonds()  # fields that were solved for stay
     return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
 
@@ -268,7 +266,7 @@ def followed(
 
 def settle(
     solver: StepSolver, u: Float, target: float, most: int, fail: Callable[[Float], int]
-) -> tuple[Float, StepResult, int, int]:
+) -> tuple[Float, StepResult]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
     A sweep leaves an equilibrium with the damage before it. If the sweep changes little, Newton with damage that
@@ -306,14 +304,14 @@ def settle(
             u, result = solver.solve(u, target)
         last = result = result.after(last)
         if not result.converged:
-            return u, result, broken, sweep
+            return u, result
         before, change = change, problem.soften(solver.state(u))
         series.extrapolate(change)
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:
-            result = replace(result, reason="damage settled", negative_pivots=None, growth=solver.growth(u))
-            return u, result, broken, sweep
+            found = replace(result, reason="damage settled", negative_pivots=None, growth=solver.growth(u))
+            return u, replace(found, broken=broken, sweeps=sweep)
         # Without an energy Newton starts from an exact sweep.
         if more or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
@@ -329,13 +327,13 @@ def settle(
             more = fail(attempt)
             if not more:
                 growth = 0.0 if energy else solver.growth(attempt)
-                return attempt, replace(closed, growth=growth), broken, sweep
+                return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
             u, broken = attempt, broken + more
         elif reversible:
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
-            return u, closed.refused(reason), broken, sweep
+            return u, closed.refused(reason)
         else:
             near = 0.1 * tried
             solver.return_to(at)
             problem.reset_bonds(taken)
-    return u, result.refused(f"damage did not settle in {most} sweeps"), broken, most
+    return u, result.refused(f"damage did not settle in {most} sweeps")

@@ -50,6 +50,10 @@ class StepResult:
     switched : float
         Largest displacement from an unstable equilibrium under the same load to this one [length]; 0 if the step did
         not switch to another branch.
+    broken : int
+        Number of bonds that broke.
+    sweeps : int
+        Number of equilibria with damage held, if Newton with damage failed; else 0.
     """
 
     converged: bool
@@ -63,20 +67,27 @@ class StepResult:
     growth: float = 0.0
     moved: float = 0.0
     switched: float = 0.0
+    broken: int = 0
+    sweeps: int = 0
 
     def refused(self, reason: str) -> StepResult:
         """Return this outcome as one that has not converged."""
         return replace(self, converged=False, reason=reason)
 
-    def after(self, *before: StepResult) -> StepResult:
-        """Return this outcome with the iterations of the solves before it, easy only if all were."""
-        every = [*before, self]
+    def after(self, before: StepResult) -> StepResult:
+        """Return this outcome with iterations, broken bonds and sweeps of those before it, easy only if all were."""
         return replace(
             self,
-            iterations=sum(one.iterations for one in every),
-            linear_iterations=sum(one.linear_iterations for one in every),
-            easy=all(one.easy for one in every),
+            iterations=self.iterations + before.iterations,
+            linear_iterations=self.linear_iterations + before.linear_iterations,
+            easy=self.easy and before.easy,
+            broken=self.broken + before.broken,
+            sweeps=self.sweeps + before.sweeps,
         )
+
+
+# Outcome of no solve, before the first one.
+NONE = StepResult(True, "")
 
 
 @dataclass(frozen=True)
@@ -93,10 +104,6 @@ class Converged:
         Outcome of the step.
     failures : list of StepResult
         Failed attempts before it.
-    broken : int
-        Number of bonds that broke in the step.
-    sweeps : int
-        Number of equilibria with damage held, if Newton with damage failed; else 0.
     resume : mapping of str to float
         Numbers that the solver needs for a restart, by names of its own.
     write_fields : bool
@@ -109,8 +116,6 @@ class Converged:
     t: float
     result: StepResult
     failures: list[StepResult] = field(default_factory=list)
-    broken: int = 0
-    sweeps: int = 0
     resume: Mapping[str, float] = field(default_factory=dict)
     write_fields: bool = True
     work: float | None = None
@@ -281,8 +286,8 @@ class Solver(ABC):
             f"{f', unstable equilibrium ({pivots}), as after buckling or a peak load' if negative else ''}"
             f"{f', moved for {result.moved:.3g} to rest' if result.moved else ''}"
             f"{f', switched to the stable branch, {result.switched:.3g} away' if result.switched else ''}"
-            f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
-            f"{f', damage settled in {converged.sweeps} sweeps' if converged.sweeps else ''}"
+            f"{f', {result.broken} bonds broke' if result.broken else ''}"
+            f"{f', damage settled in {result.sweeps} sweeps' if result.sweeps else ''}"
             f"{f', other equilibria are near ({growth})' if result.growth > 1.0 else ''}"
         )
 
@@ -370,11 +375,10 @@ class StepSolver(Solver):
         """
         return u, result.refused("this solver finds no stable equilibrium")
 
-    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
+    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult] | None:
         """Find the equilibrium at load parameter ``t`` to which the body moves from ``u`` if the step has none.
 
-        Return unknowns, outcome, broken bonds and sweeps; None for solvers without inertia. Histories on the way are
-        committed (collective).
+        Return unknowns and outcome; None for solvers without inertia. Histories on the way are committed (collective).
 
         Raises
         ------

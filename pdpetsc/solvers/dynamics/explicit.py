@@ -197,13 +197,13 @@ class ExplicitSolver(Solver):
                 deformation.carry(state)
             inertia.error = balance.record(state, size)
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
-            result = StepResult(True, "end of the time steps", iterations=taken)
+            result = StepResult(True, "end of the time steps", iterations=taken, broken=broken)
             numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
             numbers |= {ADDED: inertia.added, DEFORMED: 0.0 if deformation is None else deformation.passed}
             if inertia.viscosity is not None:
                 numbers[RATIO] = inertia.viscosity.ratio
             resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}
-            yield Converged(u, target, result, broken=broken, resume=resume, work=work)
+            yield Converged(u, target, result, resume=resume, work=work)
             problem.freeze(of_bonds)
             t = target
 
@@ -240,12 +240,11 @@ class ExplicitSolver(Solver):
         each = 1.0 / self._declared.records
         if not printed(converged.t, each):
             return None
-        broken = f", {converged.broken} bonds broke" if converged.broken else ""
-        count = converged.result.iterations
+        count, broken = converged.result.iterations, converged.result.broken
         return (
             f"step {number:4d}  t = {converged.t:<8.6g} time {converged.t * self._declared.end:.4g}, "
             f"{count} time step{'s' if count > 1 else ''} of {each * self._declared.end / count:.3g}, energy off by "
-            f"{self._inertia.error:.1e}{broken}"
+            f"{self._inertia.error:.1e}{f', {broken} bonds broke' if broken else ''}"
         )
 
     @property

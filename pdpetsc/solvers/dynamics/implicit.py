@@ -31,7 +31,7 @@ from pdpetsc.solvers.dynamics.motion import (
 )
 from pdpetsc.solvers.load_steps import equilibrium
 from pdpetsc.solvers.newton import StaticSolver
-from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+from pdpetsc.solvers.protocol import NONE, Converged, OnFailure, Setting, Start, StepResult
 
 # Smallest time step over the largest one, if the error decides.
 LEAST = 1e-4
@@ -102,7 +102,7 @@ class ImplicitSolver(TimeStepSolver):
 
     def _equilibrate(self, u: Float) -> tuple[Float, StepResult]:
         """Find the equilibrium at step time 0, without inertia."""
-        found, result, _, _ = equilibrium(self, None, u, 0.0)
+        found, result = equilibrium(self, None, u, 0.0)
         if result.converged:
             self.refuse_mechanism(found)
         self._equilibrium.forget()
@@ -157,7 +157,7 @@ class ImplicitSolver(TimeStepSolver):
         inertia.begin_step(*found)
         balance.begin(state, *found)
         recorded = start.t
-        number, failures, broken, sweeps, iterations, linear = 0, [], 0, 0, 0, 0
+        number, failures, result = 0, [], NONE
         for converged in super().march(replace(start, u=u), on_failure):
             state = problem.state(converged.u, converged.t)
             inertia.begin_step(*(found := forces(problem, state)))
@@ -167,22 +167,17 @@ class ImplicitSolver(TimeStepSolver):
                 self._bodies.push(state, found, inertia.damped(inertia.v))
             number += 1
             failures += converged.failures
-            broken, sweeps = broken + converged.broken, sweeps + converged.sweeps
-            iterations += converged.result.iterations
-            linear += converged.result.linear_iterations
+            result = converged.result.after(result)
             if number % self._declared.every and converged.t < 1.0 - ROUNDED:
                 continue
             work, self._last = balance.step_work, converged.t - recorded
             recorded = converged.t
             inertia.error = balance.record(state)
             self._refuse_unbalanced(inertia.error, converged.t)
-            result = replace(converged.result, iterations=iterations, linear_iterations=linear)
             own = {END: self._declared.end, ERROR: inertia.error, MOST_MOVED: self._most}
             resume = {**converged.resume, **balance.resume, **own}
-            yield replace(
-                converged, result=result, failures=failures, broken=broken, sweeps=sweeps, work=work, resume=resume
-            )
-            failures, broken, sweeps, iterations, linear = [], 0, 0, 0, 0
+            yield replace(converged, result=result, failures=failures, work=work, resume=resume)
+            failures, result = [], NONE
 
     def line(self, number: int, converged: Converged) -> str | None:
         """Return the printed line of a record, None for most of many records."""

@@ -22,7 +22,7 @@ from pdpetsc.solvers.dynamics.implicit import TimeStepSolver
 from pdpetsc.solvers.dynamics.motion import forces, set_in_motion
 from pdpetsc.solvers.load_steps import equilibrium
 from pdpetsc.solvers.newton import StaticSolver
-from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+from pdpetsc.solvers.protocol import NONE, Converged, OnFailure, Setting, Start, StepResult
 
 # Kinetic energy over the largest so far at which an equilibrium is first sought; its square root bounds the inertia
 # forces. After an equilibrium elsewhere the share is SMALLER times it.
@@ -86,7 +86,7 @@ class SnapSolver(StaticSolver):
         self._balance.keep()
         return growth, ""
 
-    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult, int, int] | None:
+    def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult] | None:
         """Move with the conditions of load parameter ``t`` from rest at ``u`` until the body is at rest."""
         motion = _Motion(self, u, t)
         share = REST
@@ -94,14 +94,13 @@ class SnapSolver(StaticSolver):
             with self._with_inertia():
                 motion.move(share)
             at = motion.u
-            found, result, broken, sweeps = equilibrium(self, self.steps.bonds_at_once, at, t)
+            found, result = equilibrium(self, self.steps.bonds_at_once, at, t)
             self.refuse_stopped()
             stable = self.steps.unstable == "warn" or not result.negative_pivots
             if result.converged and stable and self._distance(found, at) <= NEAR * self._distance(at, u):
-                iterations, linear = motion.iterations + result.iterations, motion.linear + result.linear_iterations
-                result = replace(result, iterations=iterations, linear_iterations=linear, easy=False, moved=motion.time)
+                result = replace(result.after(motion.result), easy=False, moved=motion.time)
                 self._balance = EnergyBalance(self.problem, self.state(found), {})
-                return found, result, motion.broken + broken, sweeps
+                return found, result
             self.problem.revert()
             self._equilibrium.forget()
             share *= SMALLER
@@ -142,14 +141,14 @@ class _Motion:
         Unknowns now [length].
     time : float
         Time since the start [time].
-    iterations, linear, broken : int
-        Newton and linear iterations and broken bonds so far.
+    result : StepResult
+        Outcome of the last time step, with the iterations of all and the bonds that broke.
     """
 
     def __init__(self, of: SnapSolver, u: Float, t: float) -> None:
         self._of, self.u, self._t = of, u, t
         self.time, self._dt = 0.0, of._declared.dt
-        self.iterations = self.linear = self.broken = 0
+        self.result = NONE
         self._balance: MotionBalance | None = None
         # The largest kinetic energy [energy] and norm of the inertia forces [force] so far.
         self._most = np.zeros(2)
@@ -202,9 +201,9 @@ class _Motion:
         problem.start_from(problem.state(self.u, self._t))
         while True:
             inertia.step_by(self._dt)
-            attempt, result, broken, _ = equilibrium(solver, of.steps.bonds_at_once, self.u, self._t)
-            self.iterations += result.iterations
-            self.linear += result.linear_iterations
+            attempt, result = equilibrium(solver, of.steps.bonds_at_once, self.u, self._t)
+            # Sweeps on the way are not those of the load step, and bonds of a failed time step mend.
+            self.result = replace(result, sweeps=0, broken=result.broken if result.converged else 0).after(self.result)
             of.refuse_stopped()
             if result.converged:
                 break
@@ -215,7 +214,7 @@ class _Motion:
                     f"At step time {self._t:.6g} there is no equilibrium, and the motion fails after {self.time:.3g}: "
                     f"{result.reason}; take a shorter dt, or look for zero-energy modes."
                 )
-        self.u, self.broken, self.time = attempt, self.broken + broken, self.time + self._dt
+        self.u, self.time = attempt, self.time + self._dt
         problem.commit(problem.state(self.u, self._t))
         self._dt = min(2.0 * self._dt, of._declared.dt)
         state = problem.state(self.u, self._t)

@@ -159,7 +159,7 @@ class PathSolver(SnesSolver):
         converged = 0
         while converged < options.most:
             size = self._aim(u, step)
-            attempt, result, broken, sweeps = self._advance(u, size)
+            attempt, result = self._advance(u, size)
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and not self._constraint.by_load:
                 result = result.refused("the load factor jumped")
@@ -203,7 +203,7 @@ class PathSolver(SnesSolver):
             balance.keep()
             now = zip(RESUMED, (step, highest, self._highest, result.reference), strict=True)
             resume = {**dict(now), **balance.resume}
-            yield Converged(u, load, result, failures, broken, sweeps, resume, work=work)
+            yield Converged(u, load, result, failures, resume, work=work)
             failures = []
             fallen = result.reference <= options.until * highest
             if fallen or self._measure.at_end(u, load):
@@ -287,17 +287,16 @@ class PathSolver(SnesSolver):
         """Border the new matrices of the tangent."""
         self._bordered.renew()
 
-    def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
-        """Let the measure grow by ``size``; return unknowns, outcome, broken bonds and sweeps."""
+    def _advance(self, u: Float, size: float) -> tuple[Float, StepResult]:
+        """Let the measure grow by ``size``; return unknowns and outcome."""
         options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._measure.holds_while_bonds_break:
             return equilibrium(self, options.bonds_at_once, u, size)
-        attempt, result, sweeps = self._settle(u, size)
+        attempt, result = self._settle(u, size)
         most = self._measure.reached(attempt, self.load) if result.converged else 0.0
         while result.converged:
-            swept += sweeps
-            attempt, result, sweeps = self._brought_back(attempt, result, most)
-            swept += sweeps
+            attempt, result = self._brought_back(attempt, result, most)
+            swept += result.sweeps
             self._balance.pass_by(self.state(attempt))
             more = problem.break_bonds(self.state(attempt), options.bonds_at_once)
             if not more:
@@ -306,37 +305,36 @@ class PathSolver(SnesSolver):
             broken += more
             self._aim(attempt, 1.0)
             before, at = attempt, self.at
-            attempt, result, sweeps = self._settle(before, 0.0)
+            attempt, result = self._settle(before, 0.0)
             if not result.converged or abs(self.load) > LEAP * self._highest:
                 # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
                 self.return_to(at)
                 self._constraint = Constraint(np.zeros_like(u), True, before, self.load)
-                attempt, result, sweeps = self._settle(before, 0.0)
-        return attempt, result, broken, swept
+                attempt, result = self._settle(before, 0.0)
+        return attempt, replace(result, broken=broken, sweeps=swept)
 
-    def _brought_back(self, u: Float, result: StepResult, most: float) -> tuple[Float, StepResult, int]:
-        """Reduce the measure to ``most`` if it is larger; return that equilibrium, its outcome and sweeps.
+    def _brought_back(self, u: Float, result: StepResult, most: float) -> tuple[Float, StepResult]:
+        """Reduce the measure to ``most`` if it is larger; return that equilibrium and its outcome, with all sweeps.
 
         While the most driven bonds are held, bonds that take over from broken ones may be driven far beyond them.
         Breaking them in this state would load the body beyond its capacity, and that energy leads to other branches.
         The given equilibrium remains if no closer one is found.
         """
-        swept = 0
         for _ in range(BACK):
             reached, at = self._measure.reached(u, self.load), self.at
             if reached <= most * (1.0 + BAND):
                 break
             stored = damage_of(self).stored()
             self._aim(u, 1.0)
-            attempt, again, sweeps = self._settle(u, most - reached)
+            attempt, again = self._settle(u, most - reached)
             if not again.converged or self._measure.reached(attempt, self.load) >= reached:
                 self.problem.reset_bonds(stored)
                 self.return_to(at)
                 break
-            u, result, swept = attempt, again, swept + sweeps
-        return u, result, swept
+            u, result = attempt, replace(again, sweeps=result.sweeps + again.sweeps)
+        return u, result
 
-    def _settle(self, u: Float, size: float) -> tuple[Float, StepResult, int]:
+    def _settle(self, u: Float, size: float) -> tuple[Float, StepResult]:
         """Find equilibrium and damage after growth of the measure by ``size``, without breaking bonds.
 
         Newton with damage that follows the displacement is tried first. If bonds that unload and reload prevent
@@ -346,16 +344,15 @@ class PathSolver(SnesSolver):
         problem.freeze(False)
         attempt, result = self.solve(u, size)
         if not problem.softens or self.stop():
-            return attempt, result, 0
+            return attempt, result
         stored = damage_of(self).stored()
         if result.converged:
             attempt, result, change = followed(self, attempt, result, size)
             if self.stop() or (result.converged and change <= LAST):
-                return attempt, result, 0
+                return attempt, result
         problem.reset_bonds(stored)
         self.return_to(at)
-        attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
-        return attempt, result, sweeps
+        return settle(self, u, size, SWEEPS, lambda v: 0)
 
     @property
     def at(self) -> tuple[float, Float]:

@@ -14,6 +14,7 @@ from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.discrete.communicator import largest as largest_of
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
 from pdpetsc.solvers.dynamics.motion import (
     END,
@@ -26,7 +27,7 @@ from pdpetsc.solvers.dynamics.motion import (
     printed,
     resume_motion,
 )
-from pdpetsc.solvers.dynamics.stable_step import Deformation, largest_frequency
+from pdpetsc.solvers.dynamics.stable_step import Frequency, largest_frequency
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.solvers.relaxation import RelaxationSolver
 from pdpetsc.solvers.rigid_bodies import RigidBodies
@@ -35,29 +36,16 @@ from pdpetsc.solvers.rigid_bodies import RigidBodies
 ALL = 2**62
 # Time steps between checks for signals.
 CHECKED = 20
-# Rounding of a number of time steps.
-ROUNDED = 1e-12
+# Round-off of a number of time steps.
+ROUND_OFF = 1e-12
 # Smallest stiffness of a particle over the largest, where mass is added.
 SOFTEST = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
 FIRST = 1e-3
-# Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
-SECOND, LEAST, MOST_STEPS = 10, 5, 1000
-# The number of time steps between estimates is halved if the frequency grows by more than this part of what the safety
-# allows, and multiplied if it grows less. The safety allows a growth by at least LEAST_ALLOWED.
-GROWS, RESTS, LENGTHENED, LEAST_ALLOWED = 0.25, 0.125, 4, 0.04
-# Time steps between checks of the deformation, and the part of what the safety allows at which the frequency is
-# estimated.
-CHECKED_SHAPE, DEFORMS = 4, 0.5
 # Relative difference of two masses of the same body.
 SAME_MASS = 1e-6
 # Names in a checkpoint: the added mass [-], and the damping ratio of the viscosity of shocks [-].
 ADDED, RATIO = "added_mass", "viscous_ratio"
-# Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
-# estimates of the frequency, and until the next one.
-FREQUENCY, ELASTIC, STEPS, INTERVAL, DUE = "frequency", "frequency_at_start", "time_steps", "interval", "due"
-# Name in a checkpoint: the deformation since the last estimate, a sum over records [-].
-DEFORMED = "deformed"
 
 
 class ExplicitSolver(Solver):
@@ -86,7 +74,6 @@ class ExplicitSolver(Solver):
     def __init__(self, problem: Problem, declared: Explicit, stop: Callable[[], bool]) -> None:
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
-        self._steps = 0
         self._bodies = RigidBodies(problem)
         if declared.least_step is not None:
             self._add_mass(declared.least_step)
@@ -130,31 +117,16 @@ class ExplicitSolver(Solver):
         state = problem.state(u, start.t)
         if start.t == 0.0 and self._bodies:
             self._bodies.begin(state, forces(problem, state))
-        resume = start.resume
-        largest = resume.get(FREQUENCY) or self._frequency(u, start.t)
-        self._steps = int(resume.get(STEPS, 0))
-        # A body that flows is stiffer where it unloads.
-        least = resume.get(ELASTIC, largest)
-        interval = int(resume.get(INTERVAL, SECOND))
-        due = int(resume.get(DUE, SECOND)) if self._changes else 2**62
-        # The growth of the largest frequency that the safety allows.
-        allowed = max(1.0 / declared.safety - 1.0, LEAST_ALLOWED)
-        deformation = None
-        if self._changes:
-            deformation = Deformation(problem.body, problem.damage is None, resume.get(DEFORMED, 0.0))
-            deformation.since(state, begin=True)
-        dt = self._stable(largest)
-        pattern = problem.pattern
+        frequency = Frequency(problem, self._frequency, declared.safety, state, start.resume)
         # Bonds fail at the end of a step, not within it.
         of_bonds = problem.bond_damage is not None
         problem.freeze(of_bonds)
         t, begun = start.t, False
-        while t < 1.0 - ROUNDED:
-            dt = self._stable(largest)
-            target = (math.floor(t * declared.records * (1.0 + ROUNDED)) + 1) / declared.records
+        while t < 1.0 - ROUND_OFF:
+            target = (math.floor(t * declared.records * (1.0 + ROUND_OFF)) + 1) / declared.records
             broken, taken = 0, 0
             # Steps of equal size from ``base`` on, until the stable step changes.
-            base, number, count = t, 0, self._count(target - t, dt)
+            base, number, count = t, 0, self._count(target - t, frequency.largest)
             if not begun:
                 acting, size = forces(problem, state), (target - t) * declared.end / count
                 balance.begin(state, *acting, size, self._viscous_before(*acting))
@@ -165,45 +137,23 @@ class ExplicitSolver(Solver):
                 at = target if number == count else base + (target - base) * number / count
                 u, failed = self._step(u, at, size, balance)
                 broken, taken = broken + failed, taken + 1
-                self._steps += 1
-                if failed and problem.material_term.n_points:  # gradients of fewer bonds may be stiffer
-                    due = min(due, self._steps + LEAST)
-                if problem.pattern != pattern:  # others are near
-                    due, pattern = self._steps, problem.pattern
-                if self._steps % CHECKED == 0 and self._stop():
+                changed = frequency.follow(u, at, failed > 0)
+                if frequency.steps % CHECKED == 0 and self._stop():
                     raise Interrupted(
                         f"Stopped by a signal; results are complete up to step time {t:.6g}; go on with --restart."
                     )
-                if inertia.viscosity is not None and number < count and self._stable(largest) < size:
-                    base, number, count = at, 0, self._count(target - at, self._stable(largest))
-                if deformation is not None and self._steps % CHECKED_SHAPE == 0:
-                    due = self._steps if deformation.at(problem.state(u, at)) > DEFORMS * allowed else due
-                if self._steps >= due:
-                    now = max(self._frequency(u, at), least)
-                    growth = now / largest - 1.0 if largest > 0.0 else now
-                    if growth > GROWS * allowed:
-                        interval = max(LEAST, interval // 2)
-                    elif growth < RESTS * allowed:
-                        interval = min(MOST_STEPS, LENGTHENED * interval)
-                    if deformation is not None:
-                        deformation.reset(problem.state(u, at))
-                    due = self._steps + interval
-                    if now != largest and number < count:
-                        base, number, count = at, 0, self._count(target - at, self._stable(now))
-                    largest, dt = now, self._stable(now)
+                shocked = inertia.viscosity is not None and self._stable(frequency.largest) < size
+                if number < count and (changed or shocked):
+                    base, number, count = at, 0, self._count(target - at, frequency.largest)
             problem.freeze(False)
             work, state = balance.step_work, problem.state(u, target)
-            if deformation is not None:
-                deformation.carry(state)
             inertia.error = balance.record(state, size)
             self._refuse_unbalanced(inertia.error, balance.amplified, target)
             result = StepResult(True, "end of the time steps", iterations=taken, broken=broken)
-            numbers = {FREQUENCY: largest, ELASTIC: least, STEPS: float(self._steps), INTERVAL: float(interval)}
-            numbers |= {ADDED: inertia.added, DEFORMED: 0.0 if deformation is None else deformation.passed}
+            numbers = {**frequency.carry(state), ADDED: inertia.added, END: declared.end, ERROR: inertia.error}
             if inertia.viscosity is not None:
                 numbers[RATIO] = inertia.viscosity.ratio
-            resume = {**balance.resume, **numbers, DUE: float(due), END: declared.end, ERROR: inertia.error}
-            yield Converged(u, target, result, resume=resume, work=work)
+            yield Converged(u, target, result, resume={**balance.resume, **numbers}, work=work)
             problem.freeze(of_bonds)
             t = target
 
@@ -247,14 +197,9 @@ class ExplicitSolver(Solver):
             f"{self._inertia.error:.1e}{f', {broken} bonds broke' if broken else ''}"
         )
 
-    @property
-    def _changes(self) -> bool:
-        """Return True if the largest frequency may change."""
-        return not self._problem.linear or self._problem.damage is not None
-
-    def _count(self, span: float, dt: float) -> int:
-        """Return the number of time steps of at most ``dt`` over a span of the step time."""
-        return max(1, math.ceil(span * self._declared.end / dt * (1.0 - ROUNDED)))
+    def _count(self, span: float, frequency: float) -> int:
+        """Return the number of stable time steps over a span of the step time."""
+        return max(1, math.ceil(span * self._declared.end / self._stable(frequency) * (1.0 - ROUND_OFF)))
 
     def _add_mass(self, dt: float) -> None:
         """Raise masses until the time step of the undeformed body is ``dt``.
@@ -275,8 +220,7 @@ class ExplicitSolver(Solver):
             )
         inertia.raise_mass(k * largest_frequency(problem, rest, k) ** 2 / square)
 
-    def _frequency(self, u: Float, t: float) -> float:
-        state = self._problem.state(u, t)
+    def _frequency(self, state: State) -> float:
         found = largest_frequency(self._problem, state, self._inertia.mass)
         return math.sqrt(found**2 + self._bodies.frequency_squared(state)) if self._bodies else found
 

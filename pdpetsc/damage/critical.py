@@ -147,7 +147,7 @@ class CriticalFunction(CriticalStretch):
 
 
 @dataclass(frozen=True, eq=False)
-class CriticalOfBonds(CriticalStretch):
+class CriticalOfBonds(Criterion):
     """Critical stretches of a fracture energy for different materials or horizons.
 
     Parameters
@@ -161,10 +161,6 @@ class CriticalOfBonds(CriticalStretch):
     def build(self, bonds: DamageableBonds) -> StretchDrivingVariable:
         """Return ``e / (s_c |xi|)``."""
         return StretchDrivingVariable(bonds, self.stretch)
-
-    def __call__(self, length: Float, middle: Float) -> Float:
-        """Raise an error: lengths and positions do not identify the bonds."""
-        raise CaseError("The critical stretches of a fracture energy follow materials and horizons, which differ.")
 
 
 @dataclass(frozen=True)
@@ -208,7 +204,7 @@ class FractureEnergy(CriticalStretch):
         """Return True if no share is declared."""
         return self.share is None
 
-    def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> CriticalStretch:
+    def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> Criterion:
         """Compute the critical stretch for the bonds of the body (collective).
 
         ``s_i^2 = Gc / (G m_i d_i)`` with the horizon ``d_i`` of the particle. ``G`` is the plane energy of bonds with

@@ -84,11 +84,6 @@ class BondDamage(Declared, ABC):
         super().__post_init__()
 
     @property
-    def declared(self) -> list[BondDamage]:
-        """Return the laws of bonds that fail: this law."""
-        return [self]
-
-    @property
     def onset(self) -> float:
         """Return the driving variable at which the degradation factor begins to decrease [-]: 1."""
         return 1.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, starts_of
 from pdpetsc.damage.criterion import (
     DamageableBonds,
     Displaced,
@@ -282,57 +282,55 @@ class SeveralDrivingVariables(DrivingVariable):
 
     Parameters
     ----------
-    driving_variables : sequence of DrivingVariable
+    of_laws : sequence of DrivingVariable
         Driving variable of all bonds, for each law.
     of_bond : (n_bonds,) int32
         The law of each bond, -1 for none.
     """
 
-    def __init__(self, driving_variables: Sequence[DrivingVariable], of_bond: LocalIndex) -> None:
-        self._driving_variables, self._of_bond = driving_variables, of_bond
-        self.is_nonlocal = any(driving_variable.is_nonlocal for driving_variable in driving_variables)
-        self.reads_points = any(driving_variable.reads_points for driving_variable in driving_variables)
-        self.reads_flow = any(driving_variable.reads_flow for driving_variable in driving_variables)
-        self.timed = any(driving_variable.timed for driving_variable in driving_variables)
-        limits = [
-            driving_variable.limit for driving_variable in driving_variables if driving_variable.limit is not None
-        ]
-        if len(limits) == len(driving_variables):
+    def __init__(self, of_laws: Sequence[DrivingVariable], of_bond: LocalIndex) -> None:
+        self._of_laws, self._of_bond = of_laws, of_bond
+        self.is_nonlocal = any(one.is_nonlocal for one in of_laws)
+        self.reads_points = any(one.reads_points for one in of_laws)
+        self.reads_flow = any(one.reads_flow for one in of_laws)
+        self.timed = any(one.timed for one in of_laws)
+        limits = [one.limit for one in of_laws if one.limit is not None]
+        if len(limits) == len(of_laws):
             self.limit = self._chosen(limits, np.inf)
 
     def take(self, solid: Solid) -> None:
         """Set the gradient points of all driving variables."""
-        for driving_variable in self._driving_variables:
-            driving_variable.take(solid)
+        for one in self._of_laws:
+            one.take(solid)
 
     def commit(self, state: Displaced) -> None:
         """Commit a converged state in all driving variables."""
-        for driving_variable in self._driving_variables:
-            driving_variable.commit(state)
+        for one in self._of_laws:
+            one.commit(state)
 
     def arrays(self) -> Mapping[str, Float]:
         """Return the history arrays of all, with the number of the law in the name."""
         return {
             f"{name}_{number}": values
-            for number, driving_variable in enumerate(self._driving_variables)
-            for name, values in driving_variable.arrays().items()
+            for number, one in enumerate(self._of_laws)
+            for name, values in one.arrays().items()
         }
 
     def at(self, state: Displaced) -> Float:
         """Return the driving variable of every bond by its law, 0 without a law."""
-        return self._chosen([driving_variable.at(state) for driving_variable in self._driving_variables], 0.0)
+        return self._chosen([one.at(state) for one in self._of_laws], 0.0)
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
         """Return the joint gradient of all laws."""
-        return self._merged(bonds, lambda driving_variable, at: driving_variable.gradient(state, bonds[at], by[at]))
+        return self._merged(bonds, lambda one, at: one.gradient(state, bonds[at], by[at]))
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
         """Return the joint gradient of all laws."""
-        return self._merged(bonds, lambda driving_variable, at: driving_variable.mean_gradient(state, bonds[at], count))
+        return self._merged(bonds, lambda one, at: one.mean_gradient(state, bonds[at], count))
 
     def at_strain(self, strain: Float) -> Float | None:
         """Return the driving variable at these strains, 0 if the law of a bond has none, None if no law has one."""
-        found = [driving_variable.at_strain(strain) for driving_variable in self._driving_variables]
+        found = [one.at_strain(strain) for one in self._of_laws]
         if all(one is None for one in found):
             return None
         return self._chosen([np.zeros_like(strain) if one is None else one for one in found], 0.0)
@@ -340,9 +338,9 @@ class SeveralDrivingVariables(DrivingVariable):
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
         """Return the energies at driving variable 1, if all laws define them with the same degree."""
         energy, degrees = np.zeros(len(bonds)), set()
-        for number, driving_variable in enumerate(self._driving_variables):
+        for number, one in enumerate(self._of_laws):
             at = np.flatnonzero(self._of_bond[bonds] == number)
-            known = driving_variable.elastic_energy(bonds[at], k[at])
+            known = one.elastic_energy(bonds[at], k[at])
             if known is None:
                 return None
             energy[at] = known[0]
@@ -360,9 +358,9 @@ class SeveralDrivingVariables(DrivingVariable):
         along = np.zeros(len(bonds))
         ends: tuple[EndpointMean, ...] = ()
         lengths, rows = np.zeros(len(bonds), dtype=np.int64), []
-        for number, driving_variable in enumerate(self._driving_variables):
+        for number, of_law in enumerate(self._of_laws):
             at = np.flatnonzero(self._of_bond[bonds] == number)
-            part = gradient(driving_variable, at)
+            part = gradient(of_law, at)
             along[at] = part.along
             if part.nonlocal_part is not None:
                 lengths[at] = np.diff(part.nonlocal_part.ptr)
@@ -376,7 +374,7 @@ class SeveralDrivingVariables(DrivingVariable):
 
 def _joined(lengths: GlobalIndex, rows: Sequence[tuple[GlobalIndex, NonlocalPart]]) -> NonlocalPart:
     """Join derivatives of disjoint sets of bonds."""
-    ptr = np.concatenate([[0], np.cumsum(lengths)])
+    ptr = starts_of(lengths)
     dim = rows[0][1].by.shape[1]
     particles: LocalIndex = np.empty(ptr[-1], dtype=np.int32)
     by = np.empty((ptr[-1], dim))

@@ -171,29 +171,14 @@ class Damage(DamageModel):
         State of the bonds.
     driving_variable : DrivingVariable
         Driving variable of the damage.
-    finite : bool
-        Whether an elongation is the change of the current length, or the component along the reference direction.
-    damageable : DamageableBonds
-        Properties of the bonds for the driving variable.
 
     Notes
     -----
     Every method is collective unless stated otherwise.
     """
 
-    def __init__(
-        self,
-        body: Body,
-        bonds: FailingBonds,
-        driving_variable: DrivingVariable,
-        finite: bool,
-        damageable: DamageableBonds,
-    ) -> None:
-        self.body = body
-        self.bonds = bonds
-        self.driving_variable = driving_variable
-        self.finite = finite
-        self.damageable = damageable
+    def __init__(self, body: Body, bonds: FailingBonds, driving_variable: DrivingVariable) -> None:
+        self.body, self.bonds, self.driving_variable = body, bonds, driving_variable
 
     @property
     def name(self) -> str:
@@ -340,7 +325,7 @@ class Damage(DamageModel):
         gradient = self.driving_variable.mean_gradient(state, near, count)
         along = np.zeros(len(family.neighbours))
         along[near] = gradient.along
-        kernel = bond_force_kernel(body.dim, int(self.finite))
+        kernel = bond_force_kernel(body.dim, int(self.bonds.of.finite))
         kernel(family.indptr, family.neighbours, body.cloud.x, u_local, along, f)
         if gradient.nonlocal_part is not None:
             np.add.at(f, gradient.nonlocal_part.particles, gradient.nonlocal_part.by)
@@ -428,4 +413,4 @@ def make_damage(
                 f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
             )
     failing = FailingBonds(bonds, laws, laws.laws[0] if law.all_laws[0] is law else law)
-    return Damage(body, failing, driving_variable, finite, bonds)
+    return Damage(body, failing, driving_variable)

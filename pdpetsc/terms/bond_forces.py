@@ -228,7 +228,7 @@ class BondForces(MaterialTerm):
         y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
         n = y / np.linalg.norm(y, axis=1)[:, None]
         v = self._whole_tension(state)[:, None] * n
-        found = softening_nonlocal(self.body, gradient, v, self.damage.damageable.opposite.of_vectors)
+        found = softening_nonlocal(self.body, gradient, v, self.damage.bonds.of.opposite.of_vectors)
         a = self.shares(state)
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n

@@ -109,7 +109,7 @@ class ControlForces(Term):
         """Return the products of softening bonds, for the control without the current degradation factor."""
         if self.damage is None or not self._fades or not self.damage.bonds.softens:
             return []
-        v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite
+        v, opposite = unfaded.bond_forces(state.u_local), self.damage.bonds.of.opposite
         return softening_products(state, self.damage.gradient(state), v, opposite.of_vectors)
 
     def bonds_changed(self, rebuild: bool) -> None:

@@ -223,7 +223,7 @@ class DamagedPoints(MaterialPoints):
         """
         gradient = self.damage.gradient(state)
         v = self._forces(self.stress(state), gradient)
-        return softening_products(state, gradient, v, self.damage.damageable.opposite.of_vectors)
+        return softening_products(state, gradient, v, self.damage.bonds.of.opposite.of_vectors)
 
     def _forces(self, P: Float, gradient: Gradient) -> Float:
         """Compute the force of the intact bond on its second end (n_bonds, dim) [force] from stresses at points.

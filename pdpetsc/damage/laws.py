@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 import scipy
 
-from pdpetsc.arrays import Float, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import Criterion, DamageableBonds
 from pdpetsc.damage.critical import ConstantCritical, FractureEnergy
 from pdpetsc.damage.evolution import DamageEvolution, LargestStretch
@@ -29,6 +29,8 @@ AboveOne: TypeAlias = Annotated[
 ]
 
 
+Law = TypeVar("Law")
+
 # Marks the local particles in a region (n_local,); the text names the region in messages (collective).
 Marking: TypeAlias = Callable[[Region, str], Mask]
 
@@ -39,6 +41,28 @@ def bonds_at(region: Region | None, bonds: DamageableBonds, mark: Marking) -> Ma
         return np.zeros(bonds.families.n_bonds, dtype=bool)
     marked = mark(region, "what damage is protected from")
     return np.asarray(marked[bonds.families.centres] | marked[bonds.families.neighbours])
+
+
+def by_law(
+    laws: Sequence[Law], number: GlobalIndex | LocalIndex, function: Callable[[Law, GlobalIndex], Float]
+) -> Float:
+    """Return numbers of bonds, points or particles (n,) by their laws, 0 without a law.
+
+    Parameters
+    ----------
+    laws : sequence
+        The laws, or what belongs to each.
+    number : (n,) int
+        The law of each, -1 for none.
+    function : callable
+        Returns the numbers for a law and those with that law.
+    """
+    found = np.zeros(len(number))
+    for law_number, law in enumerate(laws):
+        at = np.flatnonzero(number == law_number)
+        if len(at):
+            found[at] = function(law, at)
+    return found
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.damage.laws import BondDamage, Marking
+from pdpetsc.damage.laws import BondDamage, Marking, by_law
 from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region
@@ -164,26 +164,19 @@ class CurvesAtPoints:
 
     def stress(self, xi: Float, points: GlobalIndex) -> Float:
         """Return ``s`` (n,) [-] for xi between 0 and 1."""
-        return self._by_curve(lambda curve, at: curve.stress(xi[at]), points)
+        return by_law(self.curves, self.of_point[points], lambda curve, at: curve.stress(xi[at]))
 
     def slope(self, xi: Float, points: GlobalIndex) -> Float:
         """Return ``ds/dxi`` (n,) [-]."""
-        return self._by_curve(lambda curve, at: curve.slope(xi[at]), points)
+        return by_law(self.curves, self.of_point[points], lambda curve, at: curve.slope(xi[at]))
 
     def integral(self, xi: Float, points: GlobalIndex) -> Float:
         """Return the integral of s from 0 to xi (n,) [-]."""
-        return self._by_curve(lambda curve, at: curve.integral(xi[at]), points)
+        return by_law(self.curves, self.of_point[points], lambda curve, at: curve.integral(xi[at]))
 
     def area(self, points: GlobalIndex) -> Float:
         """Return the integral of s from 0 to 1 (n,) [-], 1 at points that do not fail."""
         return np.asarray(np.array([*(curve.area for curve in self.curves), 1.0])[self.of_point[points]])
-
-    def _by_curve(self, function: Callable[[SofteningCurve, GlobalIndex], Float], points: GlobalIndex) -> Float:
-        values, of = np.zeros(len(points)), self.of_point[points]
-        for number, curve in enumerate(self.curves):
-            at = np.flatnonzero(of == number)
-            values[at] = function(curve, at)
-        return values
 
 
 @dataclass(frozen=True)
@@ -222,22 +215,15 @@ class AssignedPointDamage:
 
     def onset_energy(self, E: Float, x: Float) -> Float:
         """Return ``PointDamage.onset_energy`` of the particles (n_owned,), E for points that do not fail."""
-        found = E.copy()
-        for number, law in enumerate(self.laws):
-            mine = self.of_particle == number
-            found[mine] = law.onset_energy(E[mine], x[mine])
-        return found
+        found = by_law(self.laws, self.of_particle, lambda law, at: law.onset_energy(E[at], x[at]))
+        return np.where(self.of_particle < 0, E, found)
 
     def crack_energy(self, particles: LocalIndex, x: Float, normal: Float) -> Float:
         """Compute Gc (n,) at selected particles (n,) for cracks with unit normals (n, dim), 0 if they do not fail.
 
         ``x`` (n, dim) are their positions [length].
         """
-        found, of = np.zeros(len(particles)), self.of_particle[particles]
-        for number, law in enumerate(self.laws):
-            mine = of == number
-            found[mine] = law.crack_energy(x[mine], normal[mine])
-        return found
+        return by_law(self.laws, self.of_particle[particles], lambda law, at: law.crack_energy(x[at], normal[at]))
 
 
 def _numbers(what: str, given: Any, *at: Float) -> Float:

@@ -18,7 +18,7 @@ from pdpetsc.damage.criterion import (
     Solid,
 )
 from pdpetsc.damage.evolution import DamageEvolution
-from pdpetsc.damage.laws import BondDamage, Marking, bonds_at
+from pdpetsc.damage.laws import BondDamage, Marking, bonds_at, by_law
 from pdpetsc.damage.point_damage import PointDamage, without_protected
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared
@@ -258,23 +258,16 @@ class AssignedLaws:
 
     def phi(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return the degradation factor of selected bonds at driving variables x (n,)."""
-        return self._by_law(lambda law, at: law.phi(x[at]), bonds)
+        return by_law(self.laws, self.of_bond[bonds], lambda law, at: law.phi(x[at]))
 
     def slope(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return its derivative by the driving variable (n,)."""
-        return self._by_law(lambda law, at: law.slope(x[at]), bonds)
+        return by_law(self.laws, self.of_bond[bonds], lambda law, at: law.slope(x[at]))
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float, bonds: GlobalIndex) -> Float:
         """Return the dissipated energy of selected linear bonds (n,) [energy]."""
-        return self._by_law(lambda law, at: law.dissipated(phi[at], x[at], energy[at], degree), bonds)
-
-    def _by_law(self, function: Callable[[BondDamage, GlobalIndex], Float], bonds: GlobalIndex) -> Float:
-        found, of = np.zeros(len(bonds)), self.of_bond[bonds]
-        for number, law in enumerate(self.laws):
-            at = np.flatnonzero(of == number)
-            if len(at):
-                found[at] = function(law, at)
-        return found
+        number = self.of_bond[bonds]
+        return by_law(self.laws, number, lambda law, at: law.dissipated(phi[at], x[at], energy[at], degree))
 
 
 class SeveralDrivingVariables(DrivingVariable):

@@ -202,23 +202,17 @@ class DegradedPoints(MaterialPoints, DamageModel):
         with agreed(self.body.cloud.comm):
             owner = self.operator.owner[points]
             Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
-            final = self.points.final_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
+            low, high = self._reaches(points, along)
+            final = self.points.final_of(points, Gc / np.maximum(high - low, np.finfo(float).tiny))
             if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
         return final
 
-    def _width(self, points: GlobalIndex, along: Float) -> Float:
-        """Compute the extent of the stencils of some points along directions (n, dim), to both sides (n,) [length].
-
-        With a control the stencil is the whole family of the particle: the energy of its control drives all its points.
-        """
-        low, high = self._reaches(points, along)
-        return np.asarray(high - low)
-
     def _reaches(self, points: GlobalIndex, along: Float) -> tuple[Float, Float]:
         """Compute how far the stencils of some points reach from their particles against and along directions (n, dim).
 
-        Both are (n,) [length], the first one not positive.
+        Both are (n,) [length], the first one not positive. With a control the stencil is the whole family of the
+        particle: the energy of its control drives all its points.
         """
         low, high = np.zeros((2, len(points)))
         for begin in range(0, len(points), MOST_LISTED):

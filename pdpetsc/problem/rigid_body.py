@@ -108,6 +108,10 @@ class RigidBody:
         found[self._of] = components
         return found
 
+    def _of_free(self, matrix: Float) -> Float:
+        """Return the rows and columns (n_free, n_free) of the free components of a matrix of space (6, 6)."""
+        return np.asarray(matrix[np.ix_(self._free, self._free)])
+
     def weigh(self, mass: Float, x: Float, velocity: Float) -> None:
         """Set the inertia of a region in motion from its particles, and its initial velocity (collective).
 
@@ -165,7 +169,7 @@ class RigidBody:
         # The rigid motion with the momenta of the particles.
         spun = total(self._comm, np.cross(mass[:, None] * arms, velocity).sum(axis=0))
         offset = skew(first - sums[0] * point)
-        G = np.block([[sums[0] * np.eye(3), -offset], [offset, of_particles]])[np.ix_(self._free, self._free)]
+        G = self._of_free(np.block([[sums[0] * np.eye(3), -offset], [offset, of_particles]]))
         size = float(np.sqrt(np.trace(of_particles) / sums[0])) or 1.0
         scale = np.repeat([1.0, 1.0 / size], 3)[self._free]
         momenta = scale * np.concatenate([momentum, spun])[self._free]
@@ -298,7 +302,7 @@ class RigidBody:
         """Return the velocities and angular velocities for unit rates of ``placed``, in columns (n_free, n_free)."""
         found = np.eye(6)
         found[3:, 3:] = spin_of_vector(rotation_vector(self._R[1] @ self._R[0].T))
-        return np.asarray(found[np.ix_(self._free, self._free)])
+        return self._of_free(found)
 
     def follow_load(self) -> None:
         """Let the motion be the same at every load parameter: along a path a step has no known end."""
@@ -412,15 +416,14 @@ class RigidBody:
 
     def _stiffness(self, blend: Blend, dt: float) -> Float:
         W = self._end(blend, dt)[VELOCITY, 3:]
-        found = self._mass.stiffness(W, self._turn(), self._R[1], blend, dt)
-        return np.asarray(found[np.ix_(self._free, self._free)])
+        return self._of_free(self._mass.stiffness(W, self._turn(), self._R[1], blend, dt))
 
     def stiffness_in_step(self, blend: Blend, t: float, dt: float) -> Float:
         """Return the derivative of inertia less load by the motion (n_free, n_free)."""
         by_load = np.zeros((6, 6))
         force = self._in_space(self.declared.load(t, self._dim))[:3]
         by_load[3:, 3:] = skew(force) @ skew(self._pose(t) @ self._arm)
-        return np.asarray(self._stiffness(blend, dt) - by_load[np.ix_(self._free, self._free)])
+        return self._stiffness(blend, dt) - self._of_free(by_load)
 
     def local_error(self, blend: Blend, dt: float, longest: float) -> Float:
         """Return three squares times masses (3,) [mass length^2] that judge an implicit step.
@@ -452,13 +455,12 @@ class RigidBody:
 
     def masses(self, t: float) -> Float:
         """Return the masses of the free components (n_free, n_free)."""
-        return np.asarray(self._mass.matrix(self._pose(t))[np.ix_(self._free, self._free)])
+        return self._of_free(self._mass.matrix(self._pose(t)))
 
     def added_masses(self, t: float) -> Float:
         """Return the declared masses of the free components (n_free, n_free), without those of particles."""
         declared = self.declared
-        added = RigidInertia(declared.mass or 0.0, declared.tensor).matrix(self._pose(t))
-        return np.asarray(added[np.ix_(self._free, self._free)])
+        return self._of_free(RigidInertia(declared.mass or 0.0, declared.tensor).matrix(self._pose(t)))
 
     @property
     def _mass(self) -> RigidInertia:
@@ -543,30 +545,25 @@ class RigidBody:
         Displacement and velocity are those of the point of the load (not collective).
         """
 
-        def component(number: int) -> Callable[[State], float]:
-            def value(state: State) -> float:
-                R, d = self.motion(state.t)
-                arm = self._arm[: self._dim]
-                found = np.concatenate([d + R @ arm - arm, rotation_vector(R)[-ROTATIONS[self._dim] :]])
-                return counted_once(self._comm, float(found[number]))
+        def motion(state: State) -> Float:
+            R, d = self.motion(state.t)
+            arm = self._arm[: self._dim]
+            return np.concatenate([d + R @ arm - arm, rotation_vector(R)[-ROTATIONS[self._dim] :]])
 
-            return value
+        def rates(state: State) -> Float:
+            R, v = self._pose(state.t), self._ended_rates[VELOCITY]
+            return np.asarray(np.concatenate([v[:3] + R @ np.cross(v[3:], self._arm), R @ v[3:]])[self._of])
 
-        def rate(number: int) -> Callable[[State], float]:
-            def value(state: State) -> float:
-                R, v = self._pose(state.t), self._ended_rates[VELOCITY]
-                found = np.concatenate([v[:3] + R @ np.cross(v[3:], self._arm), R @ v[3:]])[self._of]
-                return counted_once(self._comm, float(found[number]))
-
-            return value
+        def number(of: Callable[[State], Float], index: int) -> Callable[[State], float]:
+            return lambda state: counted_once(self._comm, float(of(state)[index]))
 
         if not self.free.any():
             return {}
-        names = [f"move_{axis}" for axis in "xyz"[: self._dim]]
-        rates = [] if self.inertia is None else [f"velocity_{axis}" for axis in "xyz"[: self._dim]]
-        if self.declared.twisted:
-            names += ["turn"] if self._dim == 2 else [f"turn_{axis}" for axis in "xyz"]
-            if rates:
-                rates += ["spin"] if self._dim == 2 else [f"spin_{axis}" for axis in "xyz"]
-        found = {name: component(number) for number, name in enumerate(names)}
-        return {**found, **{name: rate(number) for number, name in enumerate(rates)}}
+        axes, turns = [f"_{axis}" for axis in "xyz"[: self._dim]], [""] if self._dim == 2 else ["_x", "_y", "_z"]
+        turns = turns if self.declared.twisted else []
+        names = [f"move{axis}" for axis in axes] + [f"turn{axis}" for axis in turns]
+        found = {name: number(motion, index) for index, name in enumerate(names)}
+        if self.inertia is not None:
+            names = [f"velocity{axis}" for axis in axes] + [f"spin{axis}" for axis in turns]
+            found |= {name: number(rates, index) for index, name in enumerate(names)}
+        return found

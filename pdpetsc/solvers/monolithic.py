@@ -58,8 +58,7 @@ class MonolithicSolver(StaticSolver):
         self._n_T = problem.body.cloud.n_owned
         # Scales of temperatures and their residuals for PETSc, set in each step.
         self._degree, self._power = 1.0, 1.0
-        # Coupled matrix and preconditioning matrix, and all matrices of a step.
-        self._mats: tuple[PETSc.Mat, PETSc.Mat] | None = None
+        # Matrices of a step, first the coupled one and its preconditioning matrix.
         self._made: list[PETSc.Mat] = []
         # Displacements of the current derivative by temperature.
         self._coupled_at = np.zeros(problem.supports.fixed.shape)
@@ -142,17 +141,18 @@ class MonolithicSolver(StaticSolver):
         coupling.setUp()
         rows = [[[tangent.preconditioner, coupling], [None, one]] for one in (heat, heat if near is None else near)]
         whole, part = (PETSc.Mat().createNest(blocks, comm=self._comm) for blocks in rows)
-        self._mats = whole, part
         self._made = [whole, part, coupling, heat, *([] if near is None else [near])]
         self.snes.setJacobian(self._jacobian, whole, part)
         self._first = 0.0
 
-    def _forces_of(self, change: Float) -> Float:
-        """Compute the change of internal forces with the temperature, in PETSc's scale (n_u,)."""
+    def _coupling(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the change of internal forces with a change of the temperature, both in PETSc's scale."""
+        change = np.array(x.array_r)
         now, comm, supports = self._field.now.copy(), self._comm, self.problem.supports
         size = largest(comm, np.abs(change), initial=0.0)
+        y.set(0.0)
         if not size > 0.0:
-            return np.zeros(self._n_u)
+            return
         step = DIFFERENCE * max(self._degree, largest(comm, np.abs(now), initial=0.0)) / size
         forces = []
         for by in (step, -step):
@@ -160,9 +160,8 @@ class MonolithicSolver(StaticSolver):
             forces.append(self.problem.internal_force(self.problem.state(self._coupled_at, self.t)))
         self._field.take(now)
         up, down = forces
-        if up is None or down is None:  # Newton's method converges without it as well
-            return np.zeros(self._n_u)
-        return supports.reduced(up - down).ravel() * (self._degree / (2.0 * step * self._scales.force))
+        if up is not None and down is not None:  # Newton's method converges without it as well
+            y.array = supports.reduced(up - down).ravel() * (self._degree / (2.0 * step * self._scales.force))
 
     def _read(self, x: PETSc.Vec) -> Float:
         self._field.take(self._temperature(x))
@@ -180,11 +179,10 @@ class MonolithicSolver(StaticSolver):
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
         """Return the displacements of the first Newton step, and apply its change of the temperature."""
         system, ksp, now = self._system, self.snes.getKSP(), self._field.now.copy()
-        assert self._mats is not None
         self._coupled_at = u
         heat = system.matrix.residual(now, system.b, system.start)
         self._r.array = np.concatenate([b.ravel() / self._scales.force, -heat / self._power])
-        ksp.setOperators(*self._mats)
+        ksp.setOperators(*self._made[:2])
         ksp.solve(self._r, self._x)
         change = self._x.array_r[self._n_u :] * self._degree
         if np.isfinite(total(self._comm, float(change.sum()))):
@@ -214,10 +212,6 @@ class MonolithicSolver(StaticSolver):
         self._first = max(self._first, off)
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
         return np.isfinite(off) and off <= max(GOOD * self._first, floor)
-
-    def _coupling(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Write the change of internal forces with a change of the temperature."""
-        y.array = self._forces_of(np.array(x.array_r))
 
     @property
     def _tangent_solver(self) -> PETSc.KSP | None:

@@ -37,8 +37,6 @@ from pdpetsc.solvers.snes import SnesSolver
 # not.
 SECANTS = "cp"
 ONE_STEP = Steps()
-# Tolerance of the response to forces that are not loads.
-RESPONSE = 1e-4
 
 
 class StaticSolver(SnesSolver, LoadStepSolver):
@@ -108,7 +106,8 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         sought.resist(jump)
         if self._all_prescribed:
             return self._without_solve()
-        linear = self._as_before(u, t)
+        ahead = self._ahead(u, t)
+        linear = None if ahead is None else self._tried(sought.at_prescribed(ahead))
         if linear is None:
             start, linear = u, 0
             if anywhere(self._comm, jump):
@@ -158,31 +157,20 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         held = self._inverse_at(u, rtol)
         return CoupledInverse(self._bodies.coupled(self.state(u)), held) if self._bodies else held
 
-    def response(self, u: Float, t: float, force: Float) -> Float | None:
-        """Solve the tangent at an equilibrium for forces; None if the linear solve fails."""
-        try:
-            return self.flexibility(u, t, RESPONSE)(force)
-        except (PETSc.Error, SolveError):  # the run has ended, and is valid without it
-            return None
-
-    def _as_before(self, u: Float, t: float) -> int | None:
-        """Run SNES from the extrapolated last step; return the linear iterations, None if that fails."""
-        last, sought = self.problem.last_step, self._equilibrium
+    def _ahead(self, u: Float, t: float) -> Float | None:
+        """Return the unknowns (n_rows, dim) of the extrapolated last step; None if it cannot be extrapolated."""
+        last = self.problem.last_step
         if last is None:
             return None
         last.begin(u)
-        ahead = last.moved_on(u, t)
-        if ahead is None:
-            return None
-        return self._tried(sought.at_prescribed(ahead))
+        return last.moved_on(u, t)
 
     def _tried(self, start: Float) -> int | None:
         """Run SNES from ``start``; return the linear iterations, or None and keep nothing if that fails."""
-        sought = self._equilibrium
         linear = self._run(start)
         if not self._failed() or self.stop():
             return linear
-        sought.start_over()
+        self._equilibrium.start_over()
         return None
 
     def _without_solve(self) -> tuple[Float, StepResult]:

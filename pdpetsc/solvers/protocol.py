@@ -8,12 +8,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+from petsc4py import PETSc
+
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
+# Tolerance of the response to forces that are not loads.
+RESPONSE = 1e-4
 # Reason for accepting a residual above the tolerance.
 AT_FLOOR = "residual at the round-off floor"
 
@@ -254,10 +259,14 @@ class Solver(ABC):
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Solve the tangent at an equilibrium for forces; return displacements (n_rows, dim) [length] (collective).
 
-        None if this solver has no tangent. ``force`` (n_rows, dim) [force] is zero for prescribed unknowns. It must be
-        the last solve.
+        None if this solver has no tangent, or the linear solve fails. ``force`` (n_rows, dim) [force] is zero for
+        prescribed unknowns. It must be the last solve.
         """
-        return None
+        try:
+            flexible = self.flexibility(u, t, RESPONSE)
+            return None if flexible is None else flexible(force)
+        except (PETSc.Error, SolveError):  # the run has ended, and is valid without it
+            return None
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective).

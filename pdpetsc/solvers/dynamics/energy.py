@@ -107,9 +107,7 @@ class MotionBalance:
         self._u, (self._given_by, self._force) = state.u, self._acting(state, internal, external)
         self._tools = self._problem.tool_forces(state)
         self._state = state if self._tools else None
-        self._resisted = self._inertia.damped(self._inertia.v)
-        if viscous is not None:
-            self._resisted += viscous
+        self._resisted = self._damping(viscous)
         self._on_particles = (external - internal)[: len(self._resisted)]
         if not self._begun:
             stored, moving, touching = self._held(state, dt)
@@ -122,9 +120,7 @@ class MotionBalance:
     def move(self, state: State, internal: Float, external: Float, viscous: Float | None = None) -> None:
         """Add the work of the step to a state, with the forces of viscous damping (n_owned, dim), if any."""
         given_by, force = self._acting(state, internal, external)
-        resisted = self._inertia.damped(self._inertia.v)
-        if viscous is not None:
-            resisted += viscous
+        resisted = self._damping(viscous)
         moved = state.u - self._u
         work = 0.5 * float(((force + self._force) * moved).sum())
         tools = self._problem.tool_forces(state)
@@ -188,6 +184,11 @@ class MotionBalance:
         heavy = max(largest, LIGHT * self._largest)
         of_rigid, of_body = gained / heavy if heavy > 0.0 else 0.0, off / size if size > 0.0 else 0.0
         return max(of_rigid, of_body if self.known else 0.0, key=abs)
+
+    def _damping(self, viscous: Float | None) -> Float:
+        """Return the forces of all damping (n_owned, dim) [force]."""
+        damped = self._inertia.damped(self._inertia.v)
+        return damped if viscous is None else damped + viscous
 
     def _rigid_kinetic(self, dt: float) -> float:
         """Return the kinetic energy of rigid bodies [energy] (not collective)."""

@@ -91,10 +91,6 @@ class Bordered:
         """Set properties of the solver of the tangent that options cannot set; its options must be set before."""
         self._tangent.equip(self.ksp)
 
-    def vector(self) -> PETSc.Vec:
-        """Create a vector of the bordered system."""
-        return self.mat.createVecRight()
-
     def put(self, x: PETSc.Vec, values: Float, last: Float) -> None:
         """Set a vector of the bordered system (not collective)."""
         x.array[: self._n] = values.ravel()

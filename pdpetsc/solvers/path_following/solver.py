@@ -106,7 +106,7 @@ class PathSolver(SnesSolver):
         self._before: Float | None = None
         self._change: tuple[Float, float, Float] | None = None
         self._bordered = Bordered(self._equilibrium.tangent, self.snes, 1 + len(self._on_bodies))
-        self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
+        self._set_up(self._bordered.mat.createVecRight(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
         """Return a short description of the measure, the nonlinear and the linear solver."""
@@ -160,17 +160,8 @@ class PathSolver(SnesSolver):
         while converged < options.most:
             size = self._aim(u, step)
             attempt, result = self._advance(u, size)
-            far = abs(self.load - load) > JUMP * self._highest > 0.0
-            if result.converged and far and step > PATIENCE * options.measure.step and not self._constraint.by_load:
-                result = result.refused("the load factor jumped")
-            if result.converged and load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
-                result = result.refused("the load factor jumped to the other sign")
-            if result.converged and self._constraint.by_load and self._measure.overshot(attempt, self.load):
-                result = result.refused("the measure grew by more than a step")
-            if result.converged:
-                balance.pass_by(self.state(attempt))
-                wrong = balance.broken_by(self.state(attempt))
-                result = result.refused(wrong) if wrong else result
+            wrong = self._wrong(attempt, load, step) if result.converged else ""
+            result = result.refused(wrong) if wrong else result
             if self.stop():
                 self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
@@ -213,6 +204,19 @@ class PathSolver(SnesSolver):
                 self.ended = f"the path ended because {why}"
                 return
         raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
+
+    def _wrong(self, u: Float, load: float, step: float) -> str:
+        """Return the reason for refusing an equilibrium at the end of a step from a load factor; empty for none."""
+        by_load = self._constraint.by_load
+        far = abs(self.load - load) > JUMP * self._highest > 0.0
+        if far and step > PATIENCE * self._options.measure.step and not by_load:
+            return "the load factor jumped"
+        if load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
+            return "the load factor jumped to the other sign"
+        if by_load and self._measure.overshot(u, self.load):
+            return "the measure grew by more than a step"
+        self._balance.pass_by(self.state(u))
+        return self._balance.broken_by(self.state(u))
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium at which the measure has grown by ``t`` since the last converged step, from ``u``."""

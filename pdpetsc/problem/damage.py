@@ -37,6 +37,12 @@ class DamageModel(ABC):
 
     Attributes
     ----------
+    name : str
+        Name of the law.
+    failing : Failing
+        State of the bonds or points that fail.
+    softens : bool
+        Whether force is lost gradually.
     version, breaks : int
         Increase if a degradation factor changes, and if bonds break or mend, respectively.
 
@@ -46,6 +52,9 @@ class DamageModel(ABC):
     the terms.
     """
 
+    name: str
+    failing: Failing
+    softens: bool
     version: int = 0
     breaks: int = 0
     # Whether bonds also break by the strain of a family, and whether bonds that have not failed may regain force.
@@ -53,11 +62,6 @@ class DamageModel(ABC):
     reversible: bool = False
     # Whether all forces derive from one energy. Then an equilibrium without negative pivots is a minimum.
     forces_have_energy: bool = False
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Return the name of the law (not collective)."""
 
     @property
     def of_bonds(self) -> Damage | None:
@@ -89,16 +93,6 @@ class DamageModel(ABC):
         Not collective.
         """
         return None
-
-    @property
-    @abstractmethod
-    def softens(self) -> bool:
-        """Return True if force is lost gradually (not collective)."""
-
-    @property
-    @abstractmethod
-    def failing(self) -> Failing:
-        """Return the state of the bonds or points that fail (not collective)."""
 
     @property
     def frozen(self) -> bool:
@@ -179,21 +173,14 @@ class Damage(DamageModel):
 
     def __init__(self, body: Body, bonds: FailingBonds, driving_variable: DrivingVariable) -> None:
         self.body, self.bonds, self.driving_variable = body, bonds, driving_variable
-
-    @property
-    def name(self) -> str:
-        """Return the name of the declared law (not collective)."""
-        return type(self.bonds.law).__name__
+        self.failing, self.softens, self.name = bonds, bonds.laws.softens, type(bonds.law).__name__
+        effect = bonds.law.effect
+        self.breaks_by_family_strain, self.reversible = effect.breaks_by_family_strain, effect.reversible
 
     @property
     def of_bonds(self) -> Damage:
         """Return itself (not collective)."""
         return self
-
-    @property
-    def failing(self) -> FailingBonds:
-        """Return the state of the bonds (not collective)."""
-        return self.bonds
 
     @property
     def timed(self) -> bool:
@@ -204,21 +191,6 @@ class Damage(DamageModel):
     def conducting_bonds(self) -> Float:
         """Return 1 for each bond that is not broken, else 0 (n_bonds,) (not collective)."""
         return self.bonds.intact.astype(float)
-
-    @property
-    def softens(self) -> bool:
-        """Return True if bonds lose their force gradually (not collective)."""
-        return self.bonds.laws.softens
-
-    @property
-    def breaks_by_family_strain(self) -> bool:  # type: ignore[override]
-        """Return True if bonds also break by the strain of a family (not collective)."""
-        return self.bonds.law.effect.breaks_by_family_strain
-
-    @property
-    def reversible(self) -> bool:  # type: ignore[override]
-        """Return True if bonds that have not broken may regain force (not collective)."""
-        return self.bonds.law.effect.reversible
 
     @property
     def limit(self) -> Float:

@@ -121,6 +121,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
         self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner], body.dim)
+        self.failing, self.name = self.points, type(damage_laws.laws[0]).__name__
         self._refuse_strength()
         # Without strain, the width of a family along the first axis replaces that along the largest strain.
         everything = np.arange(operator.n_points)
@@ -231,11 +232,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self._control.families_at(self.operator.owner[points])
 
     @property
-    def name(self) -> str:
-        """Return the name of the laws."""
-        return type(self.damage_laws.laws[0]).__name__
-
-    @property
     def linear(self) -> bool:  # type: ignore[override]
         """Return True if the forces are linear: damage is held and no crack can close."""
         return super().linear and self.frozen and self._closed is None
@@ -271,11 +267,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return self.points.phi
 
     softens = True
-
-    @property
-    def failing(self) -> FailingPoints:
-        """Return the state of the points."""
-        return self.points
 
     def driven(self, state: State) -> Driven:
         """Compute drive and degradation factor of the points at a state (collective)."""

@@ -16,8 +16,8 @@ from pdpetsc.errors import CaseError
 
 # Number of components of a rotation by the dimension.
 ROTATIONS = {1: 0, 2: 1, 3: 3}
-# Rounding of moments of inertia.
-ROUNDED = 1e-9
+# Relative difference of moments of inertia that are equal.
+SAME_INERTIA = 1e-9
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ class RigidMotion(Declared):
             raise CaseError(f"{title} has an inertia of shape {given} in {dim} dimensions; give {needed}.")
         J = self.tensor
         principal = np.linalg.eigvalsh(0.5 * (J + J.T))
-        if not np.allclose(J, J.T, rtol=0.0, atol=ROUNDED * np.abs(J).max()) or principal[0] <= 0.0:
+        if not np.allclose(J, J.T, rtol=0.0, atol=SAME_INERTIA * np.abs(J).max()) or principal[0] <= 0.0:
             raise CaseError(f"{title} has an inertia that is not symmetric and positive. Correct it.")
-        if principal[2] > (principal[0] + principal[1]) * (1.0 + ROUNDED):
+        if principal[2] > (principal[0] + principal[1]) * (1.0 + SAME_INERTIA):
             raise CaseError(
                 f"{title} has principal moments of inertia {', '.join(f'{one:g}' for one in principal)}, and no body "
                 f"has one that exceeds the sum of the others. Correct them."

@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 
 Schedule: TypeAlias = Callable[[float], float]
 # Changes of slope below this share of the largest slope are rounding.
-ROUNDED = 1e-9
+FLAT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Table(Declared):
     def corners(self) -> list[float]:
         """Return the times at which the factor begins or ceases to rise or to fall, ascending [-]."""
         slopes = np.concatenate([[0.0], np.diff(self.factors) / np.diff(self.times), [0.0]])
-        direction = np.where(np.abs(slopes) > ROUNDED * np.abs(slopes).max(), np.sign(slopes), 0.0)
+        direction = np.where(np.abs(slopes) > FLAT * np.abs(slopes).max(), np.sign(slopes), 0.0)
         return [float(t) for t in np.asarray(self.times)[np.diff(direction) != 0.0]]
 
     def __call__(self, t: float) -> float:

@@ -11,8 +11,8 @@ from pdpetsc.declare.steps import MOST_STEPS
 from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
 from pdpetsc.errors import CaseError
 
-# Rounding of a number of steps.
-ROUNDED = 1e-9
+# Share of a time step that is not worth one more.
+PART_OF_STEP = 1e-9
 
 
 @dataclass(frozen=True)
@@ -387,7 +387,7 @@ class Implicit(DeclaredSolver):
     @property
     def count(self) -> int:
         """Return the number of time steps if none is shortened."""
-        return math.ceil(self.end / self.dt * (1.0 - ROUNDED))
+        return math.ceil(self.end / self.dt * (1.0 - PART_OF_STEP))
 
     @property
     def conserving(self) -> bool:

@@ -18,7 +18,7 @@ from pdpetsc.declared import Finite, Fraction, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 # Components of a direction below this share of its length are rounding.
-ROUNDED = 1e-12
+ACROSS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class RigidPlane(RigidTool):
 
     def uniform_along(self, axis: int) -> bool:
         """Return True for axes in the plane."""
-        return abs(self.normal[axis]) <= ROUNDED * math.hypot(*self.normal)
+        return abs(self.normal[axis]) <= ACROSS * math.hypot(*self.normal)
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute ``n . (x - point) + n . u``."""
@@ -282,7 +282,7 @@ class RigidCylinder(RigidTool):
     def uniform_along(self, axis: int) -> bool:
         """Return True for the axis of the cylinder."""
         across = np.delete(np.asarray(self.axis, dtype=float), axis)
-        return float(np.linalg.norm(across)) <= ROUNDED * math.hypot(*self.axis)
+        return float(np.linalg.norm(across)) <= ACROSS * math.hypot(*self.axis)
 
     def gap(self, x: Float, u: Float) -> tuple[Float, Float, Float]:
         """Compute the distance from the axis less the radius, or its negative if the body is inside."""

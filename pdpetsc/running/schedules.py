@@ -10,8 +10,8 @@ from pdpetsc.declare.steps import Steps
 
 # A peak is missed if its height over the factors at the ends of the steps exceeds this share of the largest factor.
 MISSED = 0.01
-# Rounding of load parameters and factors.
-ROUNDED = 1e-9
+# Relative difference of load parameters and factors that are equal.
+SAME = 1e-9
 
 
 def schedule_warnings(case: Case) -> list[str]:
@@ -41,7 +41,7 @@ def schedule_warnings(case: Case) -> list[str]:
 
 def _beyond(name: str, table: Table, duration: float) -> str:
     """Return the warning about factors after load parameter 1 that differ from the factor there, if there are any."""
-    end, last, rounded = table(1.0), float(table.times[-1]), ROUNDED * max(map(abs, table.factors))
+    end, last, rounded = table(1.0), float(table.times[-1]), SAME * max(map(abs, table.factors))
     if all(t <= 1.0 or abs(f - end) <= rounded for t, f in zip(table.times, table.factors, strict=True)):
         return ""
     return (

@@ -36,8 +36,8 @@ from pdpetsc.solvers.rigid_bodies import RigidBodies
 ALL = 2**62
 # Time steps between checks for signals.
 CHECKED = 20
-# Round-off of a number of time steps.
-ROUND_OFF = 1e-12
+# Relative difference of numbers of records or time steps that are equal.
+SAME_NUMBER = 1e-12
 # Smallest stiffness of a particle over the largest, where mass is added.
 SOFTEST = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
@@ -122,8 +122,8 @@ class ExplicitSolver(Solver):
         of_bonds = problem.bond_damage is not None
         problem.freeze(of_bonds)
         t, begun = start.t, False
-        while t < 1.0 - ROUND_OFF:
-            target = (math.floor(t * declared.records * (1.0 + ROUND_OFF)) + 1) / declared.records
+        while t < 1.0 - SAME_NUMBER:
+            target = (math.floor(t * declared.records * (1.0 + SAME_NUMBER)) + 1) / declared.records
             broken, taken = 0, 0
             # Steps of equal size from ``base`` on, until the stable step changes.
             base, number, count = t, 0, self._count(target - t, frequency.largest)
@@ -199,7 +199,7 @@ class ExplicitSolver(Solver):
 
     def _count(self, span: float, frequency: float) -> int:
         """Return the number of stable time steps over a span of the step time."""
-        return max(1, math.ceil(span * self._declared.end / self._stable(frequency) * (1.0 - ROUND_OFF)))
+        return max(1, math.ceil(span * self._declared.end / self._stable(frequency) * (1.0 - SAME_NUMBER)))
 
     def _add_mass(self, dt: float) -> None:
         """Raise masses until the time step of the undeformed body is ``dt``.

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.solvers import ROUNDED, Implicit
+from pdpetsc.declare.solvers import Implicit
 from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.errors import SolveError
@@ -29,7 +29,7 @@ from pdpetsc.solvers.dynamics.motion import (
     printed,
     resume_motion,
 )
-from pdpetsc.solvers.load_steps import equilibrium
+from pdpetsc.solvers.load_steps import SAME_TIME, equilibrium
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import NONE, Converged, OnFailure, Setting, Start, StepResult
 
@@ -168,7 +168,7 @@ class ImplicitSolver(TimeStepSolver):
             number += 1
             failures += converged.failures
             result = converged.result.after(result)
-            if number % self._declared.every and converged.t < 1.0 - ROUNDED:
+            if number % self._declared.every and converged.t < 1.0 - SAME_TIME:
                 continue
             work, self._last = balance.step_work, converged.t - recorded
             recorded = converged.t

@@ -18,8 +18,8 @@ from pdpetsc.problem.problem import Problem
 
 # The measure averages the bonds whose driving variable is within this relative distance of the largest.
 BAND = 0.05
-# The end of a measure is reached up to this share of it: round-off.
-ROUND_OFF = 1e-9
+# Relative difference of a measure and its end that are equal.
+SAME_END = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Measure(ABC):
 
     def at_end(self, u: Float, load: float) -> bool:
         """Return True if the measure has reached its end, up to round-off."""
-        return self.end < math.inf and self.reached(u, load) >= self.end * (1.0 - ROUND_OFF)
+        return self.end < math.inf and self.reached(u, load) >= self.end * (1.0 - SAME_END)
 
 
 class StretchMeasure(Measure):

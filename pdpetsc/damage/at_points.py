@@ -100,17 +100,10 @@ class PointDrivingVariable(DrivingVariable):
     def __init__(self, bonds: DamageableBonds, criterion: PointCriterion) -> None:
         self._bonds, self._criterion = bonds, criterion
         self.reads_flow, self.timed = criterion.reads_flow, criterion.timed
-        self._solid: Solid | None = None
         self._grown = np.zeros(bonds.cloud.n_owned)
 
     def take(self, solid: Solid) -> None:
         self._solid = solid
-
-    @property
-    def solid(self) -> Solid:
-        """Return the gradient points."""
-        assert self._solid is not None
-        return self._solid
 
     def at(self, state: Displaced) -> Float:
         """Return the mean of both ends (n_bonds,) (collective)."""
@@ -122,7 +115,7 @@ class PointDrivingVariable(DrivingVariable):
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
         """Return the derivative over the families of the ends (collective)."""
-        solid, families, n = self.solid, self._bonds.families, self._bonds.cloud.n_owned
+        solid, families, n = self._solid, self._bonds.families, self._bonds.cloud.n_owned
         operator, F = solid.gradients, solid.deformation(state)
         # No derivative at points of particles whose bonds do not change.
         D = np.where(solid.lost[:, None, None], 0.0, self._criterion.by_deformation(_moment(solid, state), F))
@@ -142,7 +135,7 @@ class PointDrivingVariable(DrivingVariable):
         return {"grown": self._grown} if self._criterion.adds_up else {}
 
     def _of_particles(self, state: Displaced) -> Float:
-        solid, n = self.solid, self._bonds.cloud.n_owned
+        solid, n = self._solid, self._bonds.cloud.n_owned
         F = solid.deformation(state)
         x = np.where(solid.lost, 0.0, self._criterion.at_points(_moment(solid, state), F))
         return self._grown + solid.gradients.mean_over_points(x, n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -239,6 +239,25 @@ def _numbers(what: str, given: Any, *at: Float) -> Float:
     return values
 
 
+class Driven(NamedTuple):
+    """Store drive and degradation factor of points.
+
+    Attributes
+    ----------
+    x : (n_points,) float64
+        Drive [-].
+    phi, slope : (n_points,) float64
+        Degradation factor, and its derivative by the drive at points that fail [-].
+    fails : (n_points,) bool
+        Points whose degradation factor decreases.
+    """
+
+    x: Float
+    phi: Float
+    slope: Float
+    fails: Mask
+
+
 class FailingPoints:
     """Degradation factor and largest drive of gradient points.
 
@@ -311,17 +330,17 @@ class FailingPoints:
         """Forget the cracks of points whose damage has not begun at the last converged step."""
         self.normal[self.kappa <= 1.0] = 0.0
 
-    def following(self, x: Float) -> tuple[Float, Mask, Float]:
-        """Return ``phi`` at drives x, a mask of points whose damage grows, and ``dphi/dx`` there (n_points,)."""
+    def following(self, x: Float) -> Driven:
+        """Return the damage at drives x, without updating it."""
         if self.frozen:
-            return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
+            return Driven(x, self.phi, np.zeros(len(x)), np.zeros(len(x), dtype=bool))
         largest = np.maximum(x, self.kappa)
         fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.final) & ~self.spared
         slope, at = np.zeros(len(x)), np.flatnonzero(fails)
         xi = (largest[at] - 1.0) / (self.final[at] - 1.0)
         by_x = self.curves.slope(xi, at) / (self.final[at] - 1.0)
         slope[at] = (by_x - self.curves.stress(xi, at) / largest[at]) / largest[at]
-        return self.phi_of(largest, self.final), fails, slope
+        return Driven(x, self.phi_of(largest, self.final), slope, fails)
 
     def phi_of(self, x: Float, final: Float) -> Float:
         """Return ``phi`` (n_points,) for largest drives x and final drives."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy
@@ -11,7 +11,7 @@ import scipy
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Lookup, Mask, entries_of
 from pdpetsc.control.base import Control
 from pdpetsc.control.tangent_scaled import YieldingFamilies
-from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
+from pdpetsc.damage.point_damage import AssignedPointDamage, Driven, FailingPoints
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.communicator import agreed, anywhere, largest
 from pdpetsc.discrete.crack_images import images_of_cloud
@@ -42,25 +42,6 @@ RESIDUAL = 1e-8
 FAN = {2: 36, 3: 200}
 # Zero-energy control whose energies drive the points of its families.
 DrivingControl: TypeAlias = Control | YieldingFamilies
-
-
-class Driven(NamedTuple):
-    """Store drive and degradation factor of the points at a state.
-
-    Attributes
-    ----------
-    x : (n_points,) float64
-        Drive [-].
-    phi, slope : (n_points,) float64
-        Degradation factor, and its derivative by the drive at points that fail [-].
-    fails : (n_points,) bool
-        Points whose degradation factor decreases.
-    """
-
-    x: Float
-    phi: Float
-    slope: Float
-    fails: Mask
 
 
 class DegradedPoints(MaterialPoints, DamageModel):
@@ -272,9 +253,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Compute drive and degradation factor of the points at a state (collective)."""
 
         def make() -> Driven:
-            x = np.sqrt(np.maximum(self._open_energy(state), 0.0) / self.points.onset_energy)
-            phi, fails, slope = self.points.following(x)
-            return Driven(x, phi, slope, fails)
+            Y = np.maximum(self._open_energy(state), 0.0)
+            return self.points.following(np.sqrt(Y / self.points.onset_energy))
 
         return state.kept(("driven", self.version, self.frozen, self.points.slack), make)
 

@@ -196,17 +196,13 @@ class Equilibrium:
         force = norm(self.problem.body.cloud.comm, resistance(loose))
         return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
-    def assemble(self, x: Float, effort: float | None = None) -> None:
-        """Update the tangent to ``x``; ``effort`` is that of the last linear solve (``PetscTangent.update``)."""
-        with stage(TANGENT):
-            self.update(self.state(x), effort)
-
     def update(self, state: State, effort: float | None = None) -> None:
-        """Update the tangent to a state (``PetscTangent.update``)."""
+        """Update the tangent to a state; ``effort`` is that of the last linear solve (``PetscTangent.update``)."""
         damage = self.problem.damage
         held = damage is not None and damage.softens and damage.frozen
         self._factored_with = held, self.problem.rebuilds
-        self.tangent.update(state, effort)
+        with stage(TANGENT):
+            self.tangent.update(state, effort)
 
     def forget(self) -> None:
         """Force the next ``update`` to rebuild the tangent, and discard the pivots of the factor (not collective)."""

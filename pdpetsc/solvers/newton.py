@@ -253,9 +253,9 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        values = self._displacement(x)
-        self._filled_at = self._equilibrium.at_prescribed(values)
-        self._equilibrium.assemble(values, effort(snes.getKSP()))
+        state = self._equilibrium.state(self._displacement(x))
+        self._filled_at = state.u
+        self._equilibrium.update(state, effort(snes.getKSP()))
 
 
 class _Inverse(Flexibility):

@@ -653,7 +653,7 @@ def test_the_first_comparison_of_forces_does_not_depend_on_the_solve_before():
             sought = solver._equilibrium
             sought.impose(1.0)
             sought.begin(np.zeros((30, 2)))
-            sought.assemble(np.zeros(60))
+            sought.update(sought.state(np.zeros(60)))
             sought.resist(np.zeros((30, 2)))
             found.append(sought._tolerance(np.zeros(60), 1e-6))
         finally:

@@ -445,7 +445,7 @@ class PathSolver(SnesSolver):
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
         state = sought.state(self._read(x))
-        sought.assemble(state.u)
+        sought.update(state)
         bodies = self._bodies.coupled(state, self._bodies.spins, self._whole[1])
         # Load factor, then motions: displacements if independent unknowns do not move, and what each adds to loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]

@@ -112,17 +112,14 @@ class Equilibrium:
         self.scales = scales_of(problem.body, problem.material_term)
         self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)
         self.t = 0.0
-        self.prescribed = np.zeros(fixed.shape)
-        self.external = np.zeros(fixed.shape)
+        # Each is replaced, not changed.
+        self.prescribed = self.external = self.resisted = np.zeros(fixed.shape)
+        self._reaction = self._start = self._loads_at_start = self.prescribed
         self.norms: list[float] = []
         self.unbalanced: Float | None = None
-        self.resisted = np.zeros(fixed.shape)
         self.reference = self.tolerance = 0.0
         self.accepted = self.objection = ""
-        self._reaction = np.zeros(fixed.shape)
         self._loads: Float | None = None
-        self._start = np.zeros(fixed.shape)
-        self._loads_at_start = np.zeros(fixed.shape)
         # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
         # Most iterations of SNES, which starts again with other contacts and moved rigid bodies.

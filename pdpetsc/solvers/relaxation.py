@@ -82,15 +82,9 @@ class RelaxationSolver(LoadStepSolver):
         """Build the solver of a setting (collective)."""
         return cls(setting.problem, setting.declared, setting.steps, setting.stop)
 
-    # There is no matrix.
-    matrix_bytes = 0
-
     def description(self) -> str:
         """Return a short description of the solver."""
         return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
-
-    def destroy(self) -> None:
-        """Do nothing: there is no memory outside Python."""
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Integrate from ``u`` to rest under the conditions at load parameter ``t`` (collective)."""

@@ -92,13 +92,11 @@ class RigidBodies:
 
     def unbalanced_at(self, state: State) -> Float:
         """Return resultants less loads (n,) [force]; moments over the size of the body."""
-        sides = [self._side(*body, state, linear=False) for body in self._bodies]
-        return np.asarray(-self._imbalance(sides, state)[0] * self._scale)
+        return np.asarray(-self._imbalance(self._sides(state, linear=False), state)[0] * self._scale)
 
     def balanced(self, state: State, rtol: float) -> bool:
         """Return True if the loads are in equilibrium, with the relative tolerance of that of the particles."""
-        sides = [self._side(*body, state, linear=False) for body in self._bodies]
-        return _agree(*self._imbalance(sides, state), rtol)
+        return _agree(*self._imbalance(self._sides(state, linear=False), state), rtol)
 
     def coupled(self, state: State, rates: Float | None = None, external: Float | None = None) -> CoupledTangent:
         """Return the derivatives of the residual and of ``unbalanced_at``.
@@ -106,7 +104,7 @@ class RigidBodies:
         They are those by displacements and further motions, angles times the size of the body, or by motions with these
         ``rates``; and by the load factor, with the loads on particles at load factor 1 (n_rows, dim) [force].
         """
-        sides, scale = [self._side(*body, state) for body in self._bodies], self._scale
+        sides, scale = self._sides(state), self._scale
         rates = np.diag(scale) if rates is None else rates * scale
         return CoupledTangent(self._problem, sides, state, rates, scale, external)
 
@@ -158,7 +156,7 @@ class RigidBodies:
             return None
         if not self._bodies:
             return None
-        sides = [self._side(*body, state) for body in self._bodies]
+        sides = self._sides(state)
         off, size = self._imbalance(sides, state)
         if _agree(off, size, rtol):
             return None
@@ -186,9 +184,12 @@ class RigidBodies:
 
         With the negative pivots of the tangent at held motions they are the negative pivots of the whole.
         """
-        sides = [self._side(*body, state) for body in self._bodies]
         scale = self._scale
-        return negative(self._stiffness(sides, state, answer)[0] * scale[:, None] * scale)
+        return negative(self._stiffness(self._sides(state), state, answer)[0] * scale[:, None] * scale)
+
+    def _sides(self, state: State, linear: bool = True) -> list[Side]:
+        """Return ``_side`` of all bodies."""
+        return [self._side(*body, state, linear) for body in self._bodies]
 
     def _side(self, term: Term, rigid: RigidBody, state: State, linear: bool = True) -> Side:
         """Return the forces and velocities of a body at a state, and its tangent if ``linear``."""

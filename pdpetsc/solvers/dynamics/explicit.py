@@ -92,16 +92,10 @@ class ExplicitSolver(Solver):
         if problem.fields:
             raise CaseError("Explicit does not solve for a temperature. Use Implicit, or prescribe it.")
 
-    # There is no matrix.
-    matrix_bytes = 0
-
     def description(self) -> str:
         """Return a short description of the solver."""
         added = f", {100.0 * self._inertia.added:.3g} % of the mass added" if self._declared.least_step else ""
         return f"central differences, {self._declared.safety:g} of the stable time step{added}"
-
-    def destroy(self) -> None:
-        """Do nothing: there is no memory outside Python."""
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         problem, inertia, declared = self._problem, self._inertia, self._declared

@@ -227,8 +227,3 @@ MEASURES: dict[type, Callable[..., Measure]] = {
     Dissipation: DissipationMeasure,
     ArcLength: ArcLengthMeasure,
 }
-
-
-def measure_of(problem: Problem, declared: BondStretch | Opening | Dissipation | ArcLength) -> Measure:
-    """Build the measure that a case declares (collective)."""
-    return MEASURES[type(declared)](problem, declared)

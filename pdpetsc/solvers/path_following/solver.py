@@ -21,7 +21,7 @@ from pdpetsc.solvers.coupled_tangent import UNRESISTED
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
-from pdpetsc.solvers.path_following.measures import BAND, Constraint, measure_of
+from pdpetsc.solvers.path_following.measures import BAND, MEASURES, Constraint
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
 from pdpetsc.solvers.snes import ROUGH, SnesSolver
 
@@ -93,7 +93,7 @@ class PathSolver(SnesSolver):
         self._bodies.follow_load()
         # Loads on them at load factor 1 [force].
         self._on_bodies = self._bodies.loads
-        self._measure = measure_of(problem, options.measure)
+        self._measure = MEASURES[type(options.measure)](problem, options.measure)
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
         self._highest = 0.0

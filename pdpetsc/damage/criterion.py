@@ -97,6 +97,10 @@ class DamageableBonds:
             raise TypeError("The criterion has reads_stiffness = False, and reads the stiffness of bonds.")
         return self.stiffness
 
+    def with_end(self, marked: Mask) -> Mask:
+        """Return the bonds (n_bonds,) with an end among marked local particles (n_local,)."""
+        return np.asarray(marked[self.families.centres] | marked[self.families.neighbours])
+
     @cached_property
     def opposite(self) -> OppositeBonds:
         """Return the location of the opposite direction of every bond (collective the first time)."""

@@ -31,16 +31,38 @@ AboveOne: TypeAlias = Annotated[
 
 Law = TypeVar("Law")
 
+Index = TypeVar("Index", GlobalIndex, LocalIndex)
+# Name of protected regions in messages.
+PROTECTED = "what damage is protected from"
+
 # Marks the local particles in a region (n_local,); the text names the region in messages (collective).
 Marking: TypeAlias = Callable[[Region, str], Mask]
 
 
-def bonds_at(region: Region | None, bonds: DamageableBonds, mark: Marking) -> Mask:
-    """Return a mask of bonds with an end in a protected region (n_bonds,); none without a region (collective)."""
-    if region is None:
-        return np.zeros(bonds.families.n_bonds, dtype=bool)
-    marked = mark(region, "what damage is protected from")
-    return np.asarray(marked[bonds.families.centres] | marked[bonds.families.neighbours])
+def spare(
+    number: Index, laws: Sequence[Any], protected: Region | None, mark: Marking, of: Callable[[Mask], Mask]
+) -> Index:
+    """Return the numbers of the laws of bonds or particles (n,) with -1 in protected regions (collective).
+
+    Parameters
+    ----------
+    number : (n,) int
+        The law of each, -1 for none; changed in place.
+    laws : sequence
+        Laws, each with its own protected region.
+    protected : Region or None
+        Region in which no law applies.
+    mark : callable
+        Marks the local particles in a region (n_local,).
+    of : callable
+        Returns which bonds or particles (n,) belong to marked local particles.
+    """
+    for law_number, law in enumerate(laws):
+        if law.protected is not None:
+            number[(number == law_number) & of(mark(law.protected, PROTECTED))] = -1
+    if protected is not None:
+        number[of(mark(protected, PROTECTED))] = -1
+    return number
 
 
 def by_law(
@@ -178,9 +200,7 @@ class BondDamage(Declared, ABC):
         """Return the number of the law of each bond (n_bonds,): 0, or -1 for a protected bond (collective)."""
         if self.protected is None:  # one number for all bonds
             return np.broadcast_to(np.int32(0), bonds.families.n_bonds)
-        of_bond = np.zeros(bonds.families.n_bonds, dtype=np.int32)
-        of_bond[bonds_at(self.protected, bonds, mark)] = -1
-        return of_bond
+        return spare(np.zeros(bonds.families.n_bonds, dtype=np.int32), [self], None, mark, bonds.with_end)
 
     @property
     def places(self) -> list[tuple[str, Region]]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.damage.laws import BondDamage, Marking, by_law
+from pdpetsc.damage.laws import BondDamage, Marking, by_law, spare
 from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region
@@ -102,7 +102,8 @@ class PointDamage(Declared):
 
     def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
         """Return the number of the law of each own particle (n_owned,): 0, -1 if it does not fail (collective)."""
-        return without_protected(np.zeros(cloud.n_owned, dtype=np.int64), self.point_laws, None, mark)
+        number = np.zeros(cloud.n_owned, dtype=np.int64)
+        return spare(number, [self], None, mark, lambda marked: marked[: cloud.n_owned])
 
     def rehearsed(self) -> PointDamage:
         """Return the law for a small body on which its loops are compiled."""
@@ -120,31 +121,6 @@ class PointDamage(Declared):
     def crack_energy(self, x: Float, normal: Float) -> Float:
         """Compute Gc (n,) [energy / area] at positions for cracks with unit normals, both (n, dim)."""
         return _numbers("Gc of PointDamage", self.Gc, x, normal)
-
-
-def without_protected(
-    of_particle: GlobalIndex, laws: Sequence[PointDamage], protected: Region | None, mark: Marking
-) -> GlobalIndex:
-    """Return the numbers of the laws of particles (n_owned,) with -1 in protected regions (collective).
-
-    Parameters
-    ----------
-    of_particle : (n_owned,) int64
-        The number of the law of each particle, -1 if it does not fail.
-    laws : sequence of PointDamage
-        Laws, each with its own protected region.
-    protected : Region or None
-        Region in which no law applies.
-    mark : callable
-        Marks the local particles in a region (n_local,).
-    """
-    found = of_particle.copy()
-    for number, law in enumerate(laws):
-        if law.protected is not None:
-            found[(found == number) & mark(law.protected, "what damage is protected from")[: len(found)]] = -1
-    if protected is not None:
-        found[mark(protected, "what damage is protected from")[: len(found)]] = -1
-    return found
 
 
 @dataclass(frozen=True)

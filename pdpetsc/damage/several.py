@@ -18,8 +18,8 @@ from pdpetsc.damage.criterion import (
     Solid,
 )
 from pdpetsc.damage.evolution import DamageEvolution
-from pdpetsc.damage.laws import BondDamage, Marking, bonds_at, by_law
-from pdpetsc.damage.point_damage import PointDamage, without_protected
+from pdpetsc.damage.laws import BondDamage, Marking, by_law, spare
+from pdpetsc.damage.point_damage import PointDamage
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
@@ -152,11 +152,7 @@ class DamageOf(Declared):
                     f"{_named(frozenset(pair)).capitalize()} share bonds, and DamageOf has no law for these; give one, "
                     f"or None where they do not fail."
                 )
-        of_bond: LocalIndex = number[at].astype(np.int32)
-        for law_number, law in enumerate(self.all_laws):
-            of_bond[(of_bond == law_number) & bonds_at(law.protected, bonds, mark)] = -1
-        of_bond[bonds_at(self.protected, bonds, mark)] = -1
-        return of_bond
+        return spare(number[at].astype(np.int32), self.all_laws, self.protected, mark, bonds.with_end)
 
     def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
         """Return the number in ``point_laws`` of the law of each own particle (n_owned,), -1 for none (collective)."""
@@ -167,7 +163,7 @@ class DamageOf(Declared):
             both = [part == names.index(name) for name in _pair(key)]
             for here, there in zip(both, both[::-1], strict=True) if len(both) == 2 else []:
                 at[here[: cloud.n_owned] & families.with_any(there)] = law
-        return without_protected(number[at], self.point_laws, self.protected, mark)
+        return spare(number[at], self.point_laws, self.protected, mark, lambda marked: marked[: cloud.n_owned])
 
     def _parts(self, cloud: Cloud, mark: Marking) -> GlobalIndex:
         """Return the number of the region of each local particle (n_local,) (collective)."""

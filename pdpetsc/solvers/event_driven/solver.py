@@ -233,11 +233,9 @@ class EventSolver(Solver):
         mine = None
         if found >= 0:
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
-            state = float(self._reach[found]), float(self._phi[found]), float(pairs.order[found])
-            k, limit, final = float(pairs.k[found]), float(pairs.limit[found]), float(pairs.final[found])
-            mine = _Candidate(key, k, limit, final, *state)
-        found_by = [c for c in self._comm.allgather(mine) if c is not None]
-        first: _Candidate = min(found_by, key=lambda c: c.order)
+            numbers = pairs.k, pairs.limit, pairs.final, self._reach, self._phi, pairs.order
+            mine = _Candidate(key, *(float(one[found]) for one in numbers))
+        first: _Candidate = min(filter(None, self._comm.allgather(mine)), key=lambda one: one.order)
         return first
 
     def _move(self, ahead: Direction, step: float) -> None:

@@ -52,17 +52,18 @@ class HeatSteps:
 
     Attributes
     ----------
-    system : HeatSystem or None
-        System of the current load step.
+    system : HeatSystem
+        System of the current load step, set by ``advance``.
 
     Notes
     -----
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
+    system: HeatSystem
+
     def __init__(self, heat: Heat, options: Options) -> None:
         self.heat = heat
-        self.system: HeatSystem | None = None
         self._options = options
         self._stiff: tuple[int, scipy.sparse.csr_matrix] | None = None
         self._made: tuple[tuple[int, float], ScalarMatrix] | None = None
@@ -110,7 +111,6 @@ class HeatSteps:
         SolveError
             The system has no solution, or the linear solver failed.
         """
-        assert self.system is not None
         temperature, good = self.system.matrix.solve(self.system.b, self.system.start)
         if not good:
             raise SolveError(

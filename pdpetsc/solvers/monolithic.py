@@ -70,14 +70,13 @@ class MonolithicSolver(StaticSolver):
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium and temperature at load parameter ``t`` starting from ``u`` (n_rows, dim)."""
-        system = self._system
         if self._all_prescribed:
             self._heat.solve()
             return super().solve(u, t)
         if self._heat.heat.declared.duration is None:
             # Refuse a piece with unlimited heat input before functions of the temperature are evaluated.
             self._heat.solution()
-        self._couple(system)
+        self._couple(self._heat.system)
         attempt, result = super().solve(u, t)
         if result.converged:
             self._read(self._x)
@@ -94,12 +93,6 @@ class MonolithicSolver(StaticSolver):
         for mat in self._made:
             mat.destroy()
         self._made.clear()
-
-    @property
-    def _system(self) -> HeatSystem:
-        system = self._heat.system
-        assert system is not None
-        return system
 
     def _create(self) -> PETSc.Vec:
         """Create a vector of displacements followed by temperatures on each rank."""
@@ -169,16 +162,16 @@ class MonolithicSolver(StaticSolver):
 
     def _temperature(self, x: PETSc.Vec) -> Float:
         """Return the temperatures of a vector, which stores the difference to those at the start of the step."""
-        return np.asarray(self._system.start + x.array_r[self._n_u :] * self._degree)
+        return np.asarray(self._heat.system.start + x.array_r[self._n_u :] * self._degree)
 
     def _run(self, start: Float) -> int:
         # Later runs continue with the current temperature.
-        change = (self._field.now - self._system.start) / self._degree
+        change = (self._field.now - self._heat.system.start) / self._degree
         return self._solve_from(np.concatenate([start.ravel() / self._scales.length, change]))
 
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
         """Return the displacements of the first Newton step, and apply its change of the temperature."""
-        system, ksp, now = self._system, self.snes.getKSP(), self._field.now.copy()
+        system, ksp, now = self._heat.system, self.snes.getKSP(), self._field.now.copy()
         self._coupled_at = u
         heat = system.matrix.residual(now, system.b, system.start)
         self._r.array = np.concatenate([b.ravel() / self._scales.force, -heat / self._power])
@@ -193,7 +186,7 @@ class MonolithicSolver(StaticSolver):
         return self._heat_residual(x) / self._power
 
     def _heat_residual(self, x: PETSc.Vec) -> Float:
-        system = self._system
+        system = self._heat.system
         return system.matrix.residual(self._temperature(x), system.b, system.start)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
@@ -210,7 +203,7 @@ class MonolithicSolver(StaticSolver):
         """Return True if the residual of the temperature is within the tolerance."""
         off = norm(self._comm, self._heat_residual(x))
         self._first = max(self._first, off)
-        floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
+        floor = self._heat.system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
         return np.isfinite(off) and off <= max(GOOD * self._first, floor)
 
     @property

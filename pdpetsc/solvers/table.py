@@ -36,8 +36,6 @@ IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     Explicit: ExplicitSolver,
     SnapThrough: SnapSolver,
 }
-# Solver for monolithic coupling with the temperature, by the solver of displacements alone.
-MONOLITHIC: dict[type[Solver], type[Solver]] = {StaticSolver: MonolithicSolver}
 # Module and class of solvers imported on first use.
 SATELLITES: dict[type[DeclaredSolver], tuple[str, str]] = {
     EventDriven: ("pdpetsc.solvers.event_driven.solver", "EventSolver"),
@@ -55,12 +53,12 @@ def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
     found = implementation(declared)
     if not problem.coupled:
         return found
-    if found not in MONOLITHIC:
+    if found is not StaticSolver:
         raise CaseError(
             f'HeatConduction with coupling="monolithic" takes Newton, and {declared.title} finds displacements alone; '
             f'take coupling="staggered", which finds the same.'
         )
-    return MONOLITHIC[found]
+    return MonolithicSolver
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:

@@ -9,6 +9,7 @@ import numpy as np
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood, combine
+from pdpetsc.damage import DamageableBonds
 from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
@@ -200,7 +201,7 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         alike = pd.BondBased(materials[0].E, calibration="lattice")
         bonds = Neighbourhood(cloud, families, omega, pd.influence.Constant(), 1.0)
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
-        damage = make_damage(law, whole, omega, k, True, mark=marking(cloud))
+        damage = make_damage(law, whole, DamageableBonds.of(cloud, families, omega, k, True), marking(cloud))
     if damage is None:
         material_term = material_points(scheme, whole, scheme.build(cloud, families, omega), materials, material_of)
     else:
@@ -260,7 +261,8 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = make_damage(damage, around, bonds.omega, material_term.k, material_term.finite, mark=marking(cloud))
+        damageable = DamageableBonds.of(cloud, families, bonds.omega, material_term.k, material_term.finite)
+        failing = make_damage(damage, around, damageable, marking(cloud))
         material_term.take_damage(failing)
     return Small(Problem(around, material_term, [], Supports(around), failing))
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import DamageableBonds, DrivingVariable, Gradient
 from pdpetsc.damage.laws import BondDamage, Marking
 from pdpetsc.damage.several import AssignedLaws, DamageOf
@@ -340,10 +340,7 @@ def _nowhere(region: Region, what: str) -> Mask:
     raise CaseError(f"The {what} is known in a case only.")
 
 
-def make_damage(
-    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float | None, finite: bool,
-    material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking = _nowhere,
-) -> Damage:  # fmt: skip
+def make_damage(law: BondDamage | DamageOf, body: Body, bonds: DamageableBonds, mark: Marking = _nowhere) -> Damage:
     """Build the damage of the bonds of a body, with resolved criterion and driving variable.
 
     Parameters
@@ -352,15 +349,8 @@ def make_damage(
         Declared damage.
     body : Body
         The body.
-    omega, k : (n_bonds,) float64
-        Influence [-], and elastic stiffness from one end [force / length]. The stiffness is None if no criterion reads
-        it.
-    finite : bool
-        Whether an elongation is the change of the current length, or the component along the reference direction.
-    material_of : (n_owned,) int32, optional
-        Number of the material of each own particle; None for one material.
-    factor : (n_owned,) float64, optional
-        Factor of grading on the moduli [-].
+    bonds : DamageableBonds
+        Bonds of the body.
     mark : callable, optional
         Marks the local particles in a region (n_local,), for laws of regions and protected regions.
 
@@ -373,7 +363,6 @@ def make_damage(
     -----
     Collective.
     """
-    bonds = DamageableBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
     of_bond = law.assign(bonds, mark)
     laws = AssignedLaws([one.resolved(bonds) for one in law.all_laws], of_bond)
     with agreed(body.cloud.comm):

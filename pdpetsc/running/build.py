@@ -16,6 +16,7 @@ from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
+from pdpetsc.damage.criterion import DamageableBonds
 from pdpetsc.damage.laws import Marking
 from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.declare.body_contact import TwoParts
@@ -704,8 +705,8 @@ def _failing(
             f"The criterion of {type(declared).__name__} requires one uniform material. For several or graded "
             "materials use CriticalFunction or FractureEnergy."
         )
-    mark = _marking(body)
-    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
+    failing = DamageableBonds.of(body.cloud, body.families, bonds.omega, k, finite, materials.index, materials.factor)
+    return make_damage(declared, body, failing, _marking(body))
 
 
 def _marking(body: Body) -> Marking:

@@ -192,7 +192,8 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
     bonds = Neighbourhood(cloud, families, np.ones(len(length)), pd.influence.Constant(), 1.0)
     around = Body(cloud, families)
     material_term = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
-    damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, material_term.k, False)
+    damageable = DamageableBonds.of(cloud, families, bonds.omega, material_term.k, False)
+    damage = make_damage(LAWS[law](criterion(Gc)), around, damageable)
     material_term.take_damage(damage)
     problem = Problem(around, material_term, [], Supports(around), damage)
     right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * sides[0]

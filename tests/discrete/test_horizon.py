@@ -12,6 +12,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
+from pdpetsc.damage import DamageableBonds
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import is_root, world
 from pdpetsc.discrete.families import find_families
@@ -180,7 +181,8 @@ def graded_bonds(dim, rng, material, damage=None):
     material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = make_damage(damage, around, omega, material_term.k, material_term.finite)
+        damageable = DamageableBonds.of(cloud, families, omega, material_term.k, material_term.finite)
+        failing = make_damage(damage, around, damageable)
         material_term.take_damage(failing)
     return Small(Problem(around, material_term, [], Supports(around), failing))
 
@@ -642,7 +644,7 @@ def test_breaking_all_bonds_across_a_plane_takes_the_fracture_energy_at_any_hori
     omega = (length <= cloud.local_horizon[body.families.centres]).astype(float)
     bonds = Neighbourhood(cloud, body.families, omega, pd.influence.Constant(), 1.0)
     k = case.material.stiffness(bonds).k
-    damage = make_damage(case.damage, body, omega, k, False)
+    damage = make_damage(case.damage, body, DamageableBonds.of(cloud, body.families, omega, k, False))
     limit = damage.driving_variable.limit
     key = np.lexsort(damage.bonds.of.keys().T)
     np.testing.assert_allclose(limit[key[::2]], limit[key[1::2]], rtol=1e-14)

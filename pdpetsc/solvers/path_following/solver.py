@@ -232,6 +232,7 @@ class PathSolver(SnesSolver):
         motions = self._bodies.motions
         linear = self._as_before(u, t)
         if linear is None:
+            self._bodies.place(motions)
             linear = self._iterate_from(u, self.load, motions)
         resting, more = self._rested()
         reason = self.snes.getConvergedReason()
@@ -260,18 +261,15 @@ class PathSolver(SnesSolver):
             return None
         change, of_load, of_motions = self._change
         load, motions = self.load + growth * of_load, growth * of_motions
-        begun = self._bodies.motions
         self._bodies.place(motions)
         self._impose(load)
         ahead = sought.at_prescribed(u + growth * change)
         if not self.problem.admissible(self.problem.state(ahead, load)):
-            self._bodies.place(begun)
             return None
         linear = self._iterate_from(ahead, load, motions)
         if self.snes.getConvergedReason() > 0 or self.stop():
             return linear
         sought.start_over()
-        self._bodies.place(begun)
         return None
 
     def _iterate_from(self, u: Float, load: float, motions: Float) -> int:

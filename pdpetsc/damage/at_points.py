@@ -108,9 +108,7 @@ class PointDrivingVariable(DrivingVariable):
     def at(self, state: Displaced) -> Float:
         """Return the mean of both ends (n_bonds,) (collective)."""
         cloud, families = self._bonds.cloud, self._bonds.families
-        x = np.zeros(cloud.n_local)
-        x[: cloud.n_owned] = self._of_particles(state)
-        cloud.halo.forward(x)
+        x = cloud.halo.with_ghosts(self._of_particles(state))
         return np.asarray(0.5 * (x[families.centres] + x[families.neighbours]))
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:

@@ -69,13 +69,9 @@ class DamageableBonds:
         ``material_of`` and ``factor`` are those of the own particles (n_owned,); by default one material without
         grading.
         """
-        number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
-        if material_of is not None:
-            number[: cloud.n_owned] = material_of
-        if factor is not None:
-            scale[: cloud.n_owned] = factor
-        cloud.halo.forward(number)
-        cloud.halo.forward(scale)
+        one = np.ones(cloud.n_owned)
+        number = cloud.halo.with_ghosts(0.0 * one if material_of is None else material_of.astype(float))
+        scale = cloud.halo.with_ghosts(one if factor is None else factor)
         return cls(cloud, families, omega, k, finite, number.astype(np.int32), scale)
 
     @property

@@ -137,8 +137,7 @@ class RigidBody:
         whole = np.zeros((2, len(mass), 3))
         whole[:, :, :dim] = x, velocity
         x, velocity = whole
-        about = np.zeros(3)
-        about[:dim] = self._about
+        about = self._whole(self._about)
         added = declared.mass or 0.0
         sums = total(self._comm, np.concatenate([[mass.sum()], mass @ x, mass @ velocity]))
         M, first, momentum = float(sums[0]) + added, sums[1:4], sums[4:]

@@ -97,11 +97,10 @@ class LoadStepSolver(StepSolver):
             target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
             self.problem.advance(t, target)
             attempt, result = equilibrium(self, steps.bonds_at_once, u, target)
-            if result.converged and steps.unstable != "warn":
-                attempt, result = _stable(self, steps.unstable, attempt, result, t, target)
+            attempt, result = self._stable(attempt, result, t, target)
             growth = 0.0
             if result.converged:
-                growth, reason = self.too_long(attempt, steps)
+                growth, reason = self.too_long(attempt)
                 if growth > 1.0:
                     result = result.refused(reason)
             if self.stop():
@@ -137,36 +136,49 @@ class LoadStepSolver(StepSolver):
             yield Converged(u, t, result, failures, {LOAD_STEP: dt})
             failures = []
 
+    def too_long(self, u: Float) -> tuple[float, str]:
+        """Return the size of the step to an equilibrium over the size that is allowed, and the reason if it is above 1.
 
-def _stable(
-    solver: StepSolver, unstable: str, u: Float, result: StepResult, t: float, target: float
-) -> tuple[Float, StepResult]:
-    """Refuse an unstable equilibrium at ``target``, or switch to a stable one, as ``Steps.unstable`` declares.
+        By default the growth of the plastic strain decides (collective).
+        """
+        most = self.steps.plastic_growth
+        if most is None:
+            return 0.0, ""
+        growth = self.problem.plastic_growth(self.state(u))
+        return growth / most, f"plastic strain grew by {growth:.3g} in one step"
 
-    Raises
-    ------
-    SolveError
-        The equilibrium is unstable and the run ends, or nothing tells whether it is; ``t`` is the last step.
-    """
-    if result.negative_pivots is None and result.linear_iterations:
-        solver.problem.revert()
-        raise SolveError(
-            f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
-            f'"{unstable}") asks for: only -pc_type cholesky of a symmetric tangent, with MUMPS, counts its '
-            f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
-            f'{t:.6g}; take unstable="warn" to go on without.'
-        )
-    if result.negative_pivots and unstable == "switch":
-        u, result = solver.switched(u, result)
-    if result.converged and (pivots := result.negative_pivots):
-        result = result.refused(f"the equilibrium is unstable, with {pivots} negative pivot{'s' if pivots > 1 else ''}")
-        if unstable == "refuse":
-            solver.problem.revert()
+    def _stable(self, u: Float, result: StepResult, t: float, target: float) -> tuple[Float, StepResult]:
+        """Refuse an unstable equilibrium at ``target``, or switch to a stable one, as ``Steps.unstable`` declares.
+
+        Raises
+        ------
+        SolveError
+            The equilibrium is unstable and the run ends, or nothing tells whether it is; ``t`` is the last step.
+        """
+        unstable = self.steps.unstable
+        if unstable == "warn" or not result.converged:
+            return u, result
+        if result.negative_pivots is None and result.linear_iterations:
+            self.problem.revert()
             raise SolveError(
-                f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
-                f"the body to find the stable branch, or follow the path."
+                f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
+                f'"{unstable}") asks for: only -pc_type cholesky of a symmetric tangent, with MUMPS, counts its '
+                f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
+                f'{t:.6g}; take unstable="warn" to go on without.'
             )
-    return u, result
+        if result.negative_pivots and unstable == "switch":
+            u, result = self.switched(u, result)
+        if result.converged and (pivots := result.negative_pivots):
+            result = result.refused(
+                f"the equilibrium is unstable, with {pivots} negative pivot{'s' if pivots > 1 else ''}"
+            )
+            if unstable == "refuse":
+                self.problem.revert()
+                raise SolveError(
+                    f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
+                    f"the body to find the stable branch, or follow the path."
+                )
+        return u, result
 
 
 def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target: float) -> tuple[Float, StepResult]:

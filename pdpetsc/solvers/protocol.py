@@ -362,16 +362,6 @@ class StepSolver(Solver):
         Solvers without a tangent do not check.
         """
 
-    def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
-        """Return the size of the step to an equilibrium over the size that is allowed, and the reason if it is above 1.
-
-        By default the growth of the plastic strain decides (collective).
-        """
-        if steps.plastic_growth is None:
-            return 0.0, ""
-        growth = self.problem.plastic_growth(self.state(u))
-        return growth / steps.plastic_growth, f"plastic strain grew by {growth:.3g} in one step"
-
     def growth(self, u: Float) -> float:
         """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if unknown (collective)."""
         return 0.0

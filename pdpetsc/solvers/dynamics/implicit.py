@@ -108,10 +108,10 @@ class ImplicitSolver(TimeStepSolver):
         self._equilibrium.forget()
         return found, result
 
-    def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
+    def too_long(self, u: Float) -> tuple[float, str]:
         """Return the cube root of the local error over the allowed one: the error is of third order in the step."""
         if self._declared.error is None:
-            return super().too_long(u, steps)
+            return super().too_long(u)
         inertia, state = self._inertia, self.state(u)
         n = len(inertia.mass)
         dt = (state.t - self.problem.converged) * self._declared.end

@@ -70,9 +70,9 @@ class SnapSolver(StaticSolver):
         self._balance = EnergyBalance(self.problem, self.problem.state(start.u, start.t), {})
         yield from super().march(start, on_failure)
 
-    def too_long(self, u: Float, steps: Steps | AdaptiveSteps) -> tuple[float, str]:
+    def too_long(self, u: Float) -> tuple[float, str]:
         """Refuse an equilibrium that is not reached through others: the body would release energy on the way."""
-        growth, reason = super().too_long(u, steps)
+        growth, reason = super().too_long(u)
         if growth > 1.0:
             return growth, reason
         if not self._judges:

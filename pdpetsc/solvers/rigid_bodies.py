@@ -149,18 +149,20 @@ class RigidBodies:
             Unknowns to solve from again [length]; None if the bodies are in equilibrium, or ``objection`` is not empty.
         """
         self.objection = ""
-        dt = 0.0 if self._inertia is None else state.clock.dt
+        if not self._bodies:
+            return None
+        comm, dt = self._problem.body.cloud.comm, 0.0 if self._inertia is None else state.clock.dt
         fast = [rigid for _, rigid in self._bodies if dt > 0.0 and rigid.turned_in_step(dt) > MOST_TURN]
         if fast:
             self.objection = f"{fast[0].what} turns by more than {MOST_TURN:g} rad in one time step"
-            return None
-        if not self._bodies:
             return None
         sides = self._sides(state)
         off, size = self._imbalance(sides, state)
         if _agree(off, size, rtol):
             return None
-        untouched = [] if self._inertia is not None else [i for i, side in enumerate(sides) if not self._touches(side)]
+        at_rest = self._inertia is None
+        tools = [i for i, side in enumerate(sides) if at_rest and side.rigid.rows is None]
+        untouched = [i for i in tools if not anywhere(comm, sides[i].force)]
         if untouched:
             if not all([self._approach(*self._bodies[i], state) for i in untouched]):
                 self.objection = f"{sides[untouched[0]].rigid.what} touches nothing that carries its load"
@@ -209,11 +211,6 @@ class RigidBodies:
         force = -problem.force_of([term], state)
         tangent = Tangent(problem.body, term.linearise(state)) if linear else None
         return Side(rigid, force, velocities, tangent)
-
-    def _touches(self, side: Side) -> bool:
-        """Return True if a body has forces on the particles, or is a region."""
-        found = anywhere(self._problem.body.cloud.comm, side.force)
-        return side.rigid.rows is not None or found
 
     def _imbalance(self, sides: Sequence[Side], state: State) -> tuple[Float, Float]:
         """Return loads less resultants, and what they are compared with (n_motions,)."""

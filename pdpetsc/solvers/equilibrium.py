@@ -102,10 +102,9 @@ class Equilibrium:
         spacing = nearest_distances(problem.body)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
-        x, comm = cloud.x[: cloud.n_owned], cloud.comm
-        low, high = bounds(comm, x)
-        least = smallest(comm, spacing)
-        self.smallest_spacing = least
+        self._comm = cloud.comm
+        low, high = bounds(cloud.comm, cloud.x[: cloud.n_owned])
+        self.smallest_spacing = least = smallest(cloud.comm, spacing)
         self.size = float(np.linalg.norm(high - low)) + least
         # Size of the body over the smallest distance of particles [-].
         self._slender = self.size / least
@@ -190,7 +189,7 @@ class Equilibrium:
             return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape))))
 
         loose = solve(resistance(step))
-        force = norm(self.problem.body.cloud.comm, resistance(loose))
+        force = norm(self._comm, resistance(loose))
         return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
     def update(self, state: State, effort: float | None = None) -> None:
@@ -250,7 +249,7 @@ class Equilibrium:
         residual = self.residual(x)
         if residual is None:
             return False
-        size = norm(self.problem.body.cloud.comm, residual)
+        size = norm(self._comm, residual)
         if not self.norms:  # a solver of PETSc that calls no convergence test
             self.norms.append(size)
         return np.isfinite(size) and size <= SLACK * max(self._tolerance(x, rtol)) and not self._lost
@@ -277,11 +276,8 @@ class Equilibrium:
         inertia = self.problem.inertia
         moving = np.zeros(1) if inertia is None else inertia.inertial(self.problem.state(values, self.t))
         squares = [self.external, self._reaction, held, moving, round_off, change, jump]
-        sums = total(
-            self.problem.body.cloud.comm,
-            [float((one**2).sum()) for one in squares]
-            + [float(np.abs(force).sum()) for force in (loads, begin, resisted, held)],
-        )
+        sizes = [float(np.abs(force).sum()) for force in (loads, begin, resisted, held)]
+        sums = total(self._comm, [float((one**2).sum()) for one in squares] + sizes)
         # A law may have no stress in the undeformed body.
         sums = np.where(np.isfinite(sums), sums, 0.0)
         *forces, of_round_off, of_change, of_jump = np.sqrt(sums[: len(squares)]).tolist()
@@ -364,7 +360,7 @@ class Equilibrium:
     def resist(self, change: Float) -> None:
         """Compute the forces against a change of the prescribed unknowns (n_rows, dim) [length] at the start."""
         self.resisted = np.zeros_like(change)
-        if self.unbalanced is not None and anywhere(self.problem.body.cloud.comm, change):
+        if self.unbalanced is not None and anywhere(self._comm, change):
             self.resisted += self.problem.linearised(self.problem.state(self._start, self.t))(change)
 
     def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
@@ -411,7 +407,7 @@ class Equilibrium:
         if springs is None or not springs.active:
             return True
         held = self.problem.supports.reduced(springs.force(self.at_prescribed(x)))
-        force = norm(self.problem.body.cloud.comm, held)
+        force = norm(self._comm, held)
         resting = force <= max(self._tolerance(x, rtol))
         if not resting:
             self.objection = HELD_BY_NOTHING

@@ -94,7 +94,7 @@ class DamageableBonds:
         return self.stiffness
 
     def with_end(self, marked: Mask) -> Mask:
-        """Return the bonds (n_bonds,) with an end among marked local particles (n_local,)."""
+        """Return a mask of bonds (n_bonds,) with an end among marked local particles (n_local,)."""
         return np.asarray(marked[self.families.centres] | marked[self.families.neighbours])
 
     @cached_property

@@ -116,7 +116,8 @@ class RelaxationSolver(LoadStepSolver):
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
         density = norm(self._comm, residual / self._mass[:, None])
         least = UNLOADED * max(self._largest, reference)
-        if norms[0] <= self._options.tolerance * max(reference, least):
+        tolerance = self._options.tolerance
+        if norms[0] <= tolerance * max(reference, least):
             # The body is in equilibrium already: the first residual is too small as a reference.
             self._largest = max(self._largest, reference)
             return moved, StepResult(True, "at rest", norms, reference, 0)
@@ -130,10 +131,8 @@ class RelaxationSolver(LoadStepSolver):
                 return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
             unbalanced, external = forces
             compare(unbalanced, external, self._free, self._mass, velocity, dt, start, moved, residual, sums)
-            all_sums = total(self._comm, sums)
-            stiff, heavy, reference, reaction, size, dense, moving = (float(one) for one in all_sums)
-            reference = math.sqrt(max(reference, reaction))
-            size, dense, moving = math.sqrt(size), math.sqrt(dense), math.sqrt(moving)
+            stiff, heavy, outer, reaction, *squares = total(self._comm, sums).tolist()
+            reference, (size, dense, moving) = math.sqrt(max(outer, reaction)), map(math.sqrt, squares)
             rayleigh = stiff / heavy if heavy > 0.0 else 0.0
             damping = min(2.0 * math.sqrt(max(rayleigh, 0.0)), 1.9 / dt)
             first_change = first_change or moving
@@ -143,7 +142,6 @@ class RelaxationSolver(LoadStepSolver):
                     return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
             if not math.isfinite(size):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
-            tolerance = self._options.tolerance
             balanced = size <= tolerance * max(reference, least)
             if balanced and dense <= tolerance * density and moving <= tolerance * first_change:
                 self._largest = max(self._largest, reference)

@@ -39,7 +39,7 @@ class RigidBodies:
     problem : Problem
         The problem.
     size : float
-        Size of the body [length]; of no account for motions with inertia alone.
+        Size of the body [length], by which angles become lengths; explicit motions do not use it.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class RigidBodies:
 
     Notes
     -----
-    Methods are collective. There may be no bodies, ``if bodies`` tells: nothing then moves.
+    Methods are collective. An object without bodies is false, and its methods do nothing.
     """
 
     def __init__(self, problem: Problem, size: float = 1.0) -> None:

@@ -96,7 +96,7 @@ class PathSolver(SnesSolver):
         self._measure = MEASURES[type(options.measure)](problem, options.measure)
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
-        self._highest = 0.0
+        self._highest_load = 0.0
         self._target = 0.0
         # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
@@ -152,7 +152,7 @@ class PathSolver(SnesSolver):
         # A checkpoint of load stepping does not contain these numbers.
         at_first = (options.measure.step, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
-        step, highest, self._highest, self._carried = known
+        step, largest_force, self._highest_load, self._carried = known
         self._equilibrium.reference = self._carried
         failures: list[StepResult] = []
         self._balance = balance = EnergyBalance(self.problem, self.problem.state(u, load), start.resume)
@@ -186,19 +186,19 @@ class PathSolver(SnesSolver):
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
-            highest, self._carried = max(highest, result.reference), result.reference
-            self._highest = max(self._highest, abs(load))
+            largest_force, self._carried = max(largest_force, result.reference), result.reference
+            self._highest_load = max(self._highest_load, abs(load))
             if result.easy:
                 step = min(step * GROWTH, options.measure.step)
             work = balance.work
             balance.keep()
-            now = zip(RESUMED, (step, highest, self._highest, result.reference), strict=True)
+            now = zip(RESUMED, (step, largest_force, self._highest_load, result.reference), strict=True)
             resume = {**dict(now), **balance.resume}
             yield Converged(u, load, result, failures, resume, work=work)
             failures = []
-            fallen = result.reference <= options.until * highest
+            fallen = result.reference <= options.until * largest_force
             if fallen or self._measure.at_end(u, load):
-                left = f"{result.reference / highest if highest > 0.0 else 0.0:.2g} of their largest"
+                left = f"{result.reference / largest_force if largest_force > 0.0 else 0.0:.2g} of their largest"
                 why = f"the forces fell to {left} (until={options.until:g})"
                 why = why if fallen else f"its measure reached its end; the forces are {left}"
                 self.ended = f"the path ended because {why}"
@@ -208,10 +208,10 @@ class PathSolver(SnesSolver):
     def _wrong(self, u: Float, load: float, step: float) -> str:
         """Return the reason for refusing an equilibrium at the end of a step from a load factor; empty for none."""
         by_load = self._constraint.by_load
-        far = abs(self.load - load) > JUMP * self._highest > 0.0
+        far = abs(self.load - load) > JUMP * self._highest_load > 0.0
         if far and step > PATIENCE * self._options.measure.step and not by_load:
             return "the load factor jumped"
-        if load * self.load < 0.0 < REVERSED * self._highest < min(abs(load), abs(self.load)):
+        if load * self.load < 0.0 < REVERSED * self._highest_load < min(abs(load), abs(self.load)):
             return "the load factor jumped to the other sign"
         if by_load and self._measure.overshot(u, self.load):
             return "the measure grew by more than a step"
@@ -308,7 +308,7 @@ class PathSolver(SnesSolver):
             self._aim(attempt, 1.0)
             before, at = attempt, self.at
             attempt, result = self._settle(before, 0.0)
-            if not result.converged or abs(self.load) > LEAP * self._highest:
+            if not result.converged or abs(self.load) > LEAP * self._highest_load:
                 # There is no equilibrium with that stretch any more: search it at a fixed load factor instead.
                 self.return_to(at)
                 self._constraint = Constraint(np.zeros_like(u), True, before, self.load)

@@ -73,7 +73,7 @@ def by_law(
     Parameters
     ----------
     laws : sequence
-        The laws, or what belongs to each.
+        The laws, or one object for each.
     number : (n,) int
         The law of each, -1 for none.
     function : callable

@@ -52,7 +52,7 @@ class RigidBody:
     owner : (n,) int32
         Own particles of this rank that the tool may touch or that move with the region, ascending.
     title : str
-        What it is, in messages.
+        Its name in messages.
     rows : (n_rows,) bool, optional
         Particles that move with a region; None for a tool.
     fictitious : bool

@@ -31,9 +31,9 @@ class BranchSwitch:
 
     With the amplitude ``a = c . (v - u)`` of the eigenvector, the method solves ``r(v) = m c`` for growing amplitudes,
     with a force m along the eigenvector. The force is negative next to the unstable equilibrium u, since its derivative
-    there is the negative eigenvalue. Where it changes its sign is another equilibrium. The potential energy there is
-    lower by the work ``-int m da``. The first amplitude is the smallest spacing, the largest the size of the body. The
-    opposite direction is tried second.
+    there is the negative eigenvalue. At another equilibrium it changes its sign. The potential energy there is lower by
+    the work ``-int m da``. The first amplitude is the smallest spacing, the largest the size of the body. The opposite
+    direction is tried second.
 
     Parameters
     ----------

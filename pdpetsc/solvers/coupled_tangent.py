@@ -26,7 +26,7 @@ UNRESISTED = (
 
 @dataclass
 class Side:
-    """Store what a rigid body does to the residual at a state.
+    """Store the forces of a rigid body on the particles at a state, and their derivatives.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Side:
     velocities : (n_free, n_rows, dim) float64
         Motions of the particles with the body.
     tangent : Tangent or None
-        Tangent of the contact of a tool; None for a region, and where it is not needed.
+        Tangent of the contact of a tool; None for a region, and if it is not needed.
     """
 
     rigid: RigidBody
@@ -64,7 +64,7 @@ class CoupledTangent:
     problem : Problem
         The problem.
     sides : sequence of Side
-        What the bodies do to the residual there.
+        Forces of the bodies there.
     state : State
         The state.
     rates : (n, n) float64, optional

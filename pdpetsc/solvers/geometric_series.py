@@ -11,7 +11,7 @@ from pdpetsc.problem.problem import Problem
 # Two successive changes are those of a geometric series if the cosine of the angle between them is at least this.
 ALIGNED = 0.999
 # Damage is moved by this share of the rest of the series. A degradation factor that changes by more than MOST in a
-# sweep, or would be moved by more, belongs to a cascade of failing bonds, whose order decides what breaks.
+# sweep, or would be moved by more, belongs to a cascade of failing bonds, whose order determines the bonds that break.
 SHARE, MOST = 0.9, 1e-3
 
 
@@ -19,8 +19,8 @@ class GeometricSeries:
     """Extrapolate degradation factors whose changes ``d_k`` from sweep to sweep are a geometric series.
 
     If ``d_k = rho d_k-1``, the changes that follow sum to ``rho / (1 - rho) d_k``. A slow settling is soon that of its
-    slowest mode, for which this holds. What settles faster at a bond moves by the ratio of that bond, because damage
-    that is too large would stay. Damage with an energy, for which Newton's method settles the rest, and reversible
+    slowest mode, for which this holds. A bond that settles faster moves by its own ratio, because damage that is too
+    large would stay. Damage with an energy, for which Newton's method settles the rest, and reversible
     damage are left as they are.
 
     Parameters

@@ -32,8 +32,8 @@ NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much.
 FIRST = 1e-6
-# Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. What a sweep has too much
-# stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
+# Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. Damage that is too large
+# in a sweep stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
 SWEPT = 1e-5
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
 FOLLOWING = 50

@@ -213,7 +213,7 @@ class RigidBodies:
         return Side(rigid, force, velocities, tangent)
 
     def _imbalance(self, sides: Sequence[Side], state: State) -> tuple[Float, Float]:
-        """Return loads less resultants, and what they are compared with (n_motions,)."""
+        """Return loads less resultants, and the sizes to compare them with (n_motions,)."""
         comm = self._problem.body.cloud.comm
         found = total(comm, np.concatenate([side.resultants(side.force) for side in sides]))
         most = total(comm, [float(np.abs(side.force).sum()) for side in sides])
@@ -317,10 +317,12 @@ class RigidBodies:
         return self._inertia
 
     def frequency_squared(self, state: State) -> float:
-        """Return a bound on what the motions add to the largest squared frequency of the body [1 / time^2].
+        """Return a bound on the part of the motions in the largest squared frequency of the body [1 / time^2].
 
         The largest eigenvalue of a positive matrix is at most the sum of those of its diagonal blocks.
         """
+        if not self._bodies:
+            return 0.0
         problem, most = self._problem, 0.0
         stiffest = problem.stiffest(state)
         for term, rigid in self._bodies:

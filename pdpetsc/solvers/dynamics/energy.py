@@ -14,8 +14,9 @@ from pdpetsc.problem.state import State
 
 # Error of the balance over the largest energy so far from which a run ends.
 MOST = 0.05
-# Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, what failing bonds have
-# released, the largest energy that the body was given, and what contact has given less what it stores [energy].
+# Names in a checkpoint: energy at the start, lost by damping, the largest so far, the work, the energy that failing
+# bonds have released, the largest energy that the body was given, and the energy that contact has given less the energy
+# that it stores [energy].
 START, DAMPED, LARGEST, WORK, LOST, GIVEN, CREATED = (
     "energy_at_start", "energy_damped", "largest_energy", "work_of_motion", "energy_of_failed_bonds", "energy_given",
     "energy_of_contact",

@@ -38,7 +38,7 @@ ALL = 2**62
 CHECKED = 20
 # Relative difference of numbers of records or time steps that are equal.
 SAME_NUMBER = 1e-12
-# Smallest stiffness of a particle over the largest, where mass is added.
+# Smallest stiffness of a particle over the largest, for the added mass.
 SOFTEST = 1e-12
 # Step time of the first step, for the velocity of held components at the start.
 FIRST = 1e-3
@@ -158,7 +158,7 @@ class ExplicitSolver(Solver):
                 f"At step time {t:.6g} the energy does not balance by {abs(error):.2g} of the largest so far; "
                 f"{self.advice}."
             )
-        # A linear motion conserves this energy also beyond the stable step, where its parts grow without bound.
+        # A linear motion conserves this energy also beyond the stable step, although its parts grow without bound.
         expands = self._problem.body.expansion is not None
         if amplified > 2.0 / (1.0 - self._declared.safety**2) and not expands:
             raise SolveError(

@@ -18,11 +18,10 @@ from pdpetsc.problem.state import State
 ITERATIONS, EXACT = 60, 5e-3
 # Time steps to the second estimate of the largest frequency, and the least and the largest number between estimates.
 SECOND, LEAST, MOST_STEPS = 10, 5, 1000
-# The number of time steps between estimates is halved if the frequency grows by more than this part of what the safety
-# allows, and multiplied if it grows less. The safety allows a growth by at least LEAST_ALLOWED.
+# The number of time steps between estimates is halved if the frequency grows by more than this part of the growth that
+# the safety allows, and multiplied if it grows less. The safety allows a growth by at least LEAST_ALLOWED.
 GROWS, RESTS, LENGTHENED, LEAST_ALLOWED = 0.25, 0.125, 4, 0.04
-# Time steps between checks of the deformation, and the part of what the safety allows at which the frequency is
-# estimated.
+# Time steps between checks of the deformation, and the part of the allowed growth at which the frequency is estimated.
 CHECKED_SHAPE, DEFORMS = 4, 0.5
 # Names in a checkpoint: the largest frequency now and at the start [1 / time], the number of time steps so far, between
 # estimates of the frequency, and until the next one.

@@ -13,7 +13,7 @@ from pdpetsc.petsc.tangent import PetscTangent
 
 # Largest number of solves for each column, to the accuracy that the last unknowns of the solve before require.
 PASSES = 2
-# A solution for a column is used if its residual is at most this multiple of what is required: the linear solver has
+# A solution for a column is used if its residual is at most this multiple of the required one: the linear solver has
 # another norm.
 CLOSE = 5.0
 # A residual that would be at most this multiple of ``enough`` is reduced to it, which saves an iteration of Newton's

@@ -278,7 +278,7 @@ class PathSolver(SnesSolver):
         return self._iterate(u)
 
     def _impose(self, load: float) -> None:
-        """Set the conditions of a load factor, with the bodies where they are."""
+        """Set the conditions of a load factor, with the bodies at their present places."""
         prescribed, loads = (load * one for one in self._whole)
         if self._bodies:
             prescribed = self.problem.supports.prescribed(load)
@@ -445,7 +445,7 @@ class PathSolver(SnesSolver):
         state = sought.state(self._read(x))
         sought.update(state)
         bodies = self._bodies.coupled(state, self._bodies.spins, self._whole[1])
-        # Load factor, then motions: displacements if independent unknowns do not move, and what each adds to loads.
+        # Load factor, then motions: displacements if independent unknowns do not move, and the change of the loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
         whole = np.concatenate([self._whole[0][None], bodies.carried])
         by_load = np.eye(len(held))[0]

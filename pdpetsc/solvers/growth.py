@@ -8,16 +8,13 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import norm
 from pdpetsc.petsc.library import put_irregular, with_tolerance
-from pdpetsc.petsc.tangent import PetscTangent
-from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.equilibrium import Equilibrium
 
 # Number of power iterations, and the tolerance of their linear solves.
 POWERS, RTOL = 20, 1e-3
 
 
-def growth_of_deviation(
-    problem: Problem, tangent: PetscTangent, ksp: PETSc.KSP, scale: float, u: Float, t: float
-) -> float:
+def growth_of_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float) -> float:
     """Compute the factor by which a deviation grows from sweep to sweep at an equilibrium with settled damage [-].
 
     A sweep maps a deviation v of the displacement to ``v - K^-1 L v``. K is the tangent with damage held. L is the
@@ -26,14 +23,10 @@ def growth_of_deviation(
 
     Parameters
     ----------
-    problem : Problem
-        A problem whose bonds soften.
-    tangent : PetscTangent
-        Updated to K, with damage held; the caller must forget it.
+    sought : Equilibrium
+        Residual of a problem whose bonds soften. Its tangent is updated to K, with damage held, and forgotten.
     ksp : KSP
         Linear solver of the tangent.
-    scale : float
-        Unit of stiffness in the tangent [force / length].
     u : (n_rows, dim) float64
         Unknowns [length].
     t : float
@@ -43,6 +36,7 @@ def growth_of_deviation(
     -----
     Collective. The result is a lower bound. Other factors close to the largest one lower it by a few per cent.
     """
+    problem, tangent, scale = sought.problem, sought.tangent, sought.scales.stiffness
     damage, supports = problem.damage, problem.supports
     free = ~supports.fixed
     assert damage is not None
@@ -65,6 +59,7 @@ def growth_of_deviation(
             norms.append(norm(problem.body.cloud.comm, v))
     x.destroy()
     b.destroy()
+    sought.forget()
     before, after = norms[POWERS // 2 - 1], norms[-1]
     factor = (after / before) ** (2.0 / POWERS) if before > 0.0 else 0.0
     return factor if np.isfinite(factor) else 0.0

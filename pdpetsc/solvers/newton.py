@@ -133,12 +133,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
     def growth(self, u: Float) -> float:
         """Return the factor by which a deviation grows from sweep to sweep (``growth_of_deviation``)."""
         ksp = self._tangent_solver
-        if ksp is None:
-            return 0.0
-        sought = self._equilibrium
-        found = growth_of_deviation(self.problem, sought.tangent, ksp, self._scales.stiffness, u, self.t)
-        sought.forget()
-        return found
+        return 0.0 if ksp is None else growth_of_deviation(self._equilibrium, ksp, u, self.t)
 
     def switched(self, u: Float, result: StepResult) -> tuple[Float, StepResult]:
         """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome."""

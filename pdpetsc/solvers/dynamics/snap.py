@@ -149,7 +149,7 @@ class _Motion:
         self._of, self.u, self._t = of, u, t
         self.time, self._dt = 0.0, of._declared.dt
         self.result = NONE
-        self._balance: MotionBalance | None = None
+        self._balance = MotionBalance(of.problem, of._inertia, {}, tells=False)
         # The largest kinetic energy [energy] and norm of the inertia forces [force] so far.
         self._most = np.zeros(2)
 
@@ -166,7 +166,7 @@ class _Motion:
         of, declared = self._of, self._of._declared
         solver = TimeStepSolver(of.problem, of._assembler, of.stop)
         try:
-            if self._balance is None:
+            if self.time == 0.0:
                 self._begin()
             while self.time < declared.end:
                 self._step(solver)
@@ -191,7 +191,6 @@ class _Motion:
         self.u = np.where(problem.supports.fixed, problem.supports.prescribed(self._t), self.u)
         inertia.step = 0.0
         internal, external = set_in_motion(problem, self.u, np.zeros_like(inertia.v), self._t)
-        self._balance = MotionBalance(problem, inertia, {}, tells=False)
         self._balance.begin(problem.state(self.u, self._t), internal, external)
         inertia.begin_step(internal, external)
 
@@ -219,7 +218,6 @@ class _Motion:
         self._dt = min(2.0 * self._dt, of._declared.dt)
         state = problem.state(self.u, self._t)
         internal, external = forces(problem, state)
-        assert self._balance is not None
         self._balance.move(state, internal, external)
         error = self._balance.record(state)
         if not np.isfinite(error) or error > MOST:

@@ -101,10 +101,9 @@ class PathSolver(SnesSolver):
         # Load factor at the start of a solve, and forces against the prescribed unknowns of load factor 1 there.
         self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), True, np.zeros(fixed.shape), 0.0)
-        # The last converged unknowns, and the change in the last step, of displacements, load factor and motions, over
+        # The last converged unknowns, and the changes of displacements, load factor and motions in the last step over
         # the growth of the measure.
-        self._before: Float | None = None
-        self._change: tuple[Float, float, Float] | None = None
+        self._last: tuple[Float, Float, float, Float] | None = None
         self._bordered = Bordered(self._equilibrium.tangent, self.snes, 1 + len(self._on_bodies))
         self._set_up(self._bordered.mat.createVecRight(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
@@ -180,9 +179,8 @@ class PathSolver(SnesSolver):
                 continue
             if not converged:
                 self.refuse_mechanism(attempt)
-            change = (attempt - u) / size, (self.load - load) / size, self._bodies.motions / size
-            self._change = None if self._constraint.by_load else change
-            self._before = attempt
+            last = attempt, (attempt - u) / size, (self.load - load) / size, self._bodies.motions / size
+            self._last = None if self._constraint.by_load else last
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
@@ -257,9 +255,9 @@ class PathSolver(SnesSolver):
         """
         damage, sought = self.problem.damage, self._equilibrium
         follows = damage is None or (damage.forces_have_energy and not damage.frozen)
-        if self._change is None or u is not self._before or self._constraint.by_load or not follows:
+        if self._last is None or u is not self._last[0] or self._constraint.by_load or not follows:
             return None
-        change, of_load, of_motions = self._change
+        _, change, of_load, of_motions = self._last
         load, motions = self.load + growth * of_load, growth * of_motions
         self._bodies.place(motions)
         self._impose(load)

@@ -164,15 +164,11 @@ class FailingBonds:
             Largest number of pairs at once, plus those equal to the last. By default one pair if any bond snaps,
             because its neighbours take over its force, else all pairs.
         """
-        if most is None and self.laws.snaps:
-            most = 1
-        over = x
         if self.laws.softens:
             # A bond that has exceeded its final driving variable may have lost its force, even if the variable is
             # smaller now.
-            over = self.law.effect.reached(x, self.kappa)
-        over = np.where(self.intact, over, 0.0)
-        return self._break_worst(over, most)
+            x = self.law.effect.reached(x, self.kappa)
+        return self._break_worst(x, most)
 
     def tear(self, x: Float, most: int | None = None) -> int:
         """Break bonds by the strain of their family; return the number of pairs (collective).
@@ -185,7 +181,6 @@ class FailingBonds:
         most : int, optional
             As in ``break_bonds``.
         """
-        most = 1 if most is None and self.laws.snaps else most
         over = np.where(self.intact, x, 0.0)
         own = np.flatnonzero(over >= (1.0 - TOGETHER) * self._final)
         keys = np.concatenate(self._comm.allgather(self.of.keys(own)))
@@ -196,14 +191,17 @@ class FailingBonds:
         found = np.zeros(max(int(given.max()), int(mine.max(initial=0))) + 1)
         np.maximum.at(found, given, values)
         over[bonds] = np.maximum(over[bonds], found[mine])
-        return self._break_worst(np.where(self.intact, over, 0.0), most)
+        return self._break_worst(over, most)
 
-    def _break_worst(self, driving_variable: Float, most: int | None) -> int:
-        """Break bonds at or beyond their final driving variable, the largest first; return the number of pairs.
+    def _break_worst(self, x: Float, most: int | None) -> int:
+        """Break unbroken bonds at or beyond their final driving variable, largest first; return the number of pairs.
 
         Bonds are compared by driving variable over final driving variable, which may differ between laws.
         """
-        over, least = driving_variable / self._final, 1.0 - TOGETHER
+        if most is None and self.laws.snaps:
+            most = 1
+        x = np.where(self.intact, x, 0.0)
+        over, least = x / self._final, 1.0 - TOGETHER
         if largest(self._comm, over, initial=0.0) < least:
             return 0
         if most is not None:
@@ -214,7 +212,7 @@ class FailingBonds:
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
         broken = np.flatnonzero(over >= least)
         self.phi[broken] = 0.0
-        self.kappa[broken] = np.maximum(self.kappa[broken], driving_variable[broken])
+        self.kappa[broken] = np.maximum(self.kappa[broken], x[broken])
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:

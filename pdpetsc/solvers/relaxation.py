@@ -95,11 +95,8 @@ class RelaxationSolver(LoadStepSolver):
         while result.converged and self.problem.follow(self.problem.state(self._completed(unknowns), t)):
             unknowns, result = self._relax(unknowns)
         moved = self._completed(unknowns)
-        if result.converged:
-            objection = self.problem.objection(self.problem.state(moved, t))
-            if objection:
-                result = result.refused(objection)
-        return moved, result
+        objection = self.problem.objection(self.problem.state(moved, t)) if result.converged else ""
+        return moved, result.refused(objection) if objection else result
 
     def _relax(self, start: Float) -> tuple[Float, StepResult]:
         """Integrate from unknowns ``start`` to rest; dependent unknowns do not change."""

@@ -73,10 +73,8 @@ class SnapSolver(StaticSolver):
     def too_long(self, u: Float) -> tuple[float, str]:
         """Refuse an equilibrium that is not reached through others: the body would release energy on the way."""
         growth, reason = super().too_long(u)
-        if growth > 1.0:
+        if growth > 1.0 or not self._judges:
             return growth, reason
-        if not self._judges:
-            return growth, ""
         state = self.state(u)
         self._balance.pass_by(state)
         released = self._balance.released(state)
@@ -84,7 +82,7 @@ class SnapSolver(StaticSolver):
             self._balance.go_back()
             return 2.0, f"the body jumps, and would release {100.0 * released:.2g} % of the energy of the step"
         self._balance.keep()
-        return growth, ""
+        return growth, reason
 
     def moved_to_rest(self, u: Float, t: float) -> tuple[Float, StepResult] | None:
         """Move with the conditions of load parameter ``t`` from rest at ``u`` until the body is at rest."""

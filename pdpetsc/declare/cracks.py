@@ -97,12 +97,6 @@ class Segment(Crack):
         along = _point(self.end, 2, "Segment") - _point(self.start, 2, "Segment")
         return _repeated([-along[1], along[0]], x)
 
-    def _distance(self, x: Float) -> Float:
-        """Return the distance of points (n, 2) from the segment (n,)."""
-        p, along = np.asarray(self.start), np.asarray(self.end, dtype=float) - np.asarray(self.start)
-        share = np.clip((x - p) @ along / max(float(along @ along), np.finfo(float).tiny), 0.0, 1.0)
-        return np.asarray(np.linalg.norm(x - p - share[:, None] * along, axis=1))
-
 
 @dataclass(frozen=True)
 class Polyline(Crack):
@@ -131,7 +125,8 @@ class Polyline(Crack):
     def normals(self, x: Float) -> Float:
         """Return the normals of the nearest segments."""
         _same(x, 2, "Polyline")
-        nearest = np.argmin([segment._distance(x) for segment in self._segments], axis=0)
+        ends = [np.array([segment.start, segment.end], dtype=float) for segment in self._segments]
+        nearest = np.argmin([_distance(x, *both) for both in ends], axis=0)
         normals = np.array([segment.normals(x[:1])[0] for segment in self._segments]) if len(x) else np.zeros((1, 2))
         return np.asarray(normals[nearest])
 
@@ -174,7 +169,7 @@ class PlaneCrack(Crack):
 
 @dataclass(frozen=True)
 class Disc(Crack):
-    """A penny-shaped crack with ``centre``, ``normal`` and ``radius`` [length].
+    """A penny-shaped crack with ``centre``, ``normal`` and ``radius`` [length], its edge included.
 
     Examples
     --------
@@ -199,8 +194,8 @@ class Disc(Crack):
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the disc."""
         _same(a, 3, "Disc")
-        crossing, where = _crossing(a, b, self.centre, self.normal)
-        inside = np.linalg.norm(where - np.asarray(self.centre, dtype=float), axis=1) <= self.radius
+        crossing, close, where = _crossing(a, b, self.centre, self.normal)
+        inside = np.linalg.norm(where - np.asarray(self.centre, dtype=float), axis=1) <= self.radius + close
         return np.asarray(crossing & inside)
 
     def normals(self, x: Float) -> Float:
@@ -211,7 +206,7 @@ class Disc(Crack):
 
 @dataclass(frozen=True)
 class PolygonCrack(Crack):
-    """A plane crack inside a closed polygon of at least three points in space [length].
+    """A plane crack inside a closed polygon of at least three points in space [length], its edges included.
 
     Examples
     --------
@@ -237,11 +232,11 @@ class PolygonCrack(Crack):
         flat = np.abs((corners - corners[0]) @ normal)
         if size == 0.0 or flat.max() > 1e-6 * size * np.linalg.norm(edges, axis=1).max():
             raise CaseError("The points of a PolygonCrack must lie in one plane, and not on one line.")
-        crossing, where = _crossing(a, b, corners[0], normal)
+        crossing, close, where = _crossing(a, b, corners[0], normal)
         one = edges[0] / np.linalg.norm(edges[0])
         basis = np.array([one, np.cross(normal / size, one)])
         flat_corners, flat_where = (corners - corners[0]) @ basis.T, (where - corners[0]) @ basis.T
-        return np.asarray(crossing & _inside(flat_corners, flat_where))
+        return np.asarray(crossing & _inside(flat_corners, flat_where, close))
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the polygon."""
@@ -287,16 +282,15 @@ def crack_of(record: Mapping[str, Any]) -> Crack | None:
 
 def _crossing(
     a: Float, b: Float, point: Sequence[float] | Float, normal: Sequence[float] | Float
-) -> tuple[Mask, Float]:
-    """Return which bonds cross a plane, and the crossing points."""
+) -> tuple[Mask, Float, Float]:
+    """Return which bonds cross a plane, tolerances, and the crossing points."""
     dim = a.shape[1]
     p, n = _point(point, dim, "crack"), _point(normal, dim, "crack")
     size = float(np.linalg.norm(n))
     if size == 0.0:
         raise CaseError("A crack needs a normal that is not zero.")
     side_a, side_b = (a - p) @ n / size, (b - p) @ n / size
-    crossing, _, where = _between_sides(a, b, side_a, side_b)
-    return crossing, where
+    return _between_sides(a, b, side_a, side_b)
 
 
 def _between_sides(a: Float, b: Float, side_a: Float, side_b: Float) -> tuple[Mask, Float, Float]:
@@ -307,14 +301,25 @@ def _between_sides(a: Float, b: Float, side_a: Float, side_b: Float) -> tuple[Ma
     return crossing, close, a + share[:, None] * (b - a)
 
 
-def _inside(corners: Float, where: Float) -> Mask:
-    """Return True for points of a plane (n, 2) inside a polygon, by the number of sides to their right."""
-    inside = np.zeros(len(where), dtype=bool)
+def _inside(corners: Float, where: Float, close: Float) -> Mask:
+    """Return True for points of a plane (n, 2) inside a polygon, or as close to a side as ``close`` (n,).
+
+    A point is inside if the number of sides to its right is odd.
+    """
+    inside, on_side = np.zeros(len(where), dtype=bool), np.zeros(len(where), dtype=bool)
     for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         spans = (p[1] > where[:, 1]) != (q[1] > where[:, 1])
         height = q[1] - p[1] if q[1] != p[1] else 1.0
         inside ^= spans & (where[:, 0] < p[0] + (where[:, 1] - p[1]) / height * (q[0] - p[0]))
-    return inside
+        on_side |= _distance(where, p, q) <= close
+    return np.asarray(inside | on_side)
+
+
+def _distance(x: Float, p: Float, q: Float) -> Float:
+    """Return the distance of points ``x`` (n, dim) from the straight line between two points (n,)."""
+    along = q - p
+    share = np.clip((x - p) @ along / max(float(along @ along), np.finfo(float).tiny), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(x - p - share[:, None] * along, axis=1))
 
 
 def _repeated(normal: Sequence[float] | Float, x: Float) -> Float:

@@ -30,6 +30,25 @@ def cut_by(x, horizon, cracks, **more):
     return pairs_left(x, horizon, [], **more) - pairs_left(x, horizon, cracks, **more)
 
 
+def test_bonds_through_the_edge_of_a_crack_are_cut_wherever_the_body_is(rng):
+    """The middles of bonds are on the edges of the polygon and of the disc; rounding does not decide."""
+    x = grid(5, 5, 4)
+    corners = np.array([[1.5, -1.0, -1.0], [1.5, 1.5, -1.0], [1.5, 1.5, 9.0], [1.5, -1.0, 9.0]])
+    centre, normal, radius = np.array([1.5, 2.0, 2.0]), np.eye(3)[0], 1.5
+
+    def cut(move, unit):
+        moved, points, middle = (unit * (place + move) for place in (x, corners, centre))
+        cracks = [pd.PolygonCrack(points.tolist()), pd.Disc(middle.tolist(), normal.tolist(), unit * radius)]
+        return [cut_by(moved, 1.5 * unit, [crack]) for crack in cracks]
+
+    polygon, disc = cut(np.zeros(3), 1.0)
+    places = [0.5 * (x[i] + x[j]) for i, j in polygon]
+    assert max(place[1] for place in places) == 1.5
+    assert any(np.linalg.norm(0.5 * (x[i] + x[j]) - centre) == radius for i, j in disc)
+    for move in rng.uniform(-99.0, 99.0, (12, 3)):
+        assert cut(move, 10.0 ** rng.uniform(-6.0, 6.0)) == [polygon, disc]
+
+
 def test_a_segment_cuts_what_crosses_it_and_no_more():
     x = grid(6, 4)
     cut = cut_by(x, 1.5, [pd.Segment((-1.0, 1.5), (2.5, 1.5))])

@@ -108,7 +108,7 @@ class Tied(TwoParts):
 
     Facets that overlap in the undeformed bodies form pairs. Both facets of a pair feel opposite tractions
     ``stiffness (u - u')`` of the displacements at the middle of the overlap, times its area. A uniform stress passes
-    exactly; the displacements differ by the traction over the stiffness.
+    exactly; the displacements differ by the traction over the stiffness. Heat passes as through the body.
 
     Parameters
     ----------

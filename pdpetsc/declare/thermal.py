@@ -276,9 +276,10 @@ class HeatConduction(Declared):
     ``c dT/dt = div (k grad T) + heat`` with the gradient of the scheme, and ``k`` and ``c`` of the materials
     (``Thermal``). In materials of bonds, heat flows along bonds.
 
-    Broken bonds, cracks and the surface without conditions insulate. Bonds that break in a step insulate from the next
-    step on. Use ``Conforming`` weights for heat through the surface; other weights have an error of first order in the
-    spacing there. The Crank-Nicolson rule oscillates if a temperature or its surroundings jump.
+    Broken bonds, cracks, contact and the surface without conditions insulate; ``Tied`` surfaces conduct. Bonds that
+    break in a step insulate from the next step on. Use ``Conforming`` weights for heat through the surface; other
+    weights have an error of first order in the spacing there. The Crank-Nicolson rule oscillates if a temperature or
+    its surroundings jump.
 
     Parameters
     ----------

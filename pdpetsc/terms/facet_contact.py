@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of, row_of_entries
 from pdpetsc.declare.body_contact import BodyContact
@@ -113,6 +114,12 @@ class Points(NamedTuple):
         """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
         of = row_of_entries(self.stencils.point_ptr)
         np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
+
+    def resistance(self, each: float, n: int) -> scipy.sparse.csr_matrix:
+        """Compute the matrix ``each sum_p A_p w_p (x) w_p`` of numbers of n local particles."""
+        shape = len(self.area), n
+        w = scipy.sparse.csr_matrix((self.weights, self.stencils.members, self.stencils.point_ptr), shape=shape)
+        return scipy.sparse.csr_matrix(w.T @ scipy.sparse.diags(each * self.area) @ w)
 
     def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:
         """Compute the mean of values of points (n_points,) for each of n multipliers, 0 where there is no point."""

@@ -10,7 +10,7 @@ import scipy
 
 from pdpetsc.arrays import Float, LocalIndex, Mask, row_of_entries
 from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
-from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.communicator import agreed, largest
 from pdpetsc.errors import CaseError, case_errors
 from pdpetsc.gradient.base import GradientOperator, stencil_weights
 from pdpetsc.gradient.base import with_centres as with_centres_of
@@ -24,6 +24,8 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.conditions import Applied
 from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
+from pdpetsc.terms.facet_contact import STIFFNESS
+from pdpetsc.terms.tied import TIED, TiedForces
 
 # A family with less than this share of its largest second moment in a direction has no slope there.
 FLAT = 1e-10
@@ -95,8 +97,8 @@ class Conducting:
 class Heat(Term):
     """Represent heat conduction of a body: a term without forces, which stores the temperature of a run.
 
-    The equation is ``C dT/dt + K T = Q`` with ``K = G^T (W k) G + K_control + K_convection`` and ``C = c V``. The
-    control resists ``T_j - T_i - grad T . xi`` with the strength ``G tr k / dim``, as Silling's control does for
+    The equation is ``C dT/dt + K T = Q`` with ``K = G^T (W k) G + K_control + K_convection + K_tied`` and ``C = c V``.
+    The control resists ``T_j - T_i - grad T . xi`` with the strength ``G tr k / dim``, as Silling's control does for
     displacements. For bond-based materials, ``K`` is the sum over bonds of ``kappa_ij (T_j - T_i)`` with ``kappa_ij =
     dim V_i k omega V_j / sum_j omega V_j |xi|^2``, from both ends.
 
@@ -118,6 +120,8 @@ class Heat(Term):
         Prescribed temperatures.
     entering : sequence of (condition, mask)
         Heat through facets of the surface or in own particles.
+    ties : sequence of TiedForces
+        Parts of the surface that move as one, through which heat passes as through the body.
     damage : DamageModel, optional
         Damage of bonds or points. Broken bonds conduct nothing; the conductivity of points is multiplied with the
         degradation factor.
@@ -133,7 +137,7 @@ class Heat(Term):
         self, body: Body, declared: HeatConduction, conducting: Conducting,
         operator: Callable[[], GradientOperator] | None, omega: Float, field: ConductedTemperature,
         held: PrescribedTemperature, entering: Sequence[tuple[HeatFlux | HeatSource | Convection, Mask]],
-        damage: DamageModel | None = None,
+        ties: Sequence[TiedForces], damage: DamageModel | None = None,
     ) -> None:  # fmt: skip
         self.body = body
         self.declared = declared
@@ -144,7 +148,7 @@ class Heat(Term):
         self._omega = omega
         self._entering = entering
         self._damage = damage
-        self._resisting = self._convection()
+        self._resisting = self._convection() + self._through(ties)
 
     @property
     def parts(self) -> list[str]:
@@ -321,6 +325,15 @@ class Heat(Term):
                 K = K + scipy.sparse.csr_matrix(N.T @ scipy.sparse.diags(h) @ N)
         return K
 
+    def _through(self, ties: Sequence[TiedForces]) -> scipy.sparse.csr_matrix:
+        """Compute the conduction of ties, whose resistance is that of 1/1000 of a spacing of the body (collective)."""
+        cloud = self.body.cloud
+        k = largest(cloud.comm, np.einsum("pii->p", self.conducting.k) / cloud.dim, 0.0)
+        K = scipy.sparse.csr_matrix((cloud.n_local, cloud.n_local))
+        for tie in ties:
+            K = K + tie.points.resistance(STIFFNESS * TIED * k / tie.spacing, cloud.n_local)
+        return K
+
 
 def _differences(first: LocalIndex, second: LocalIndex, n: int) -> scipy.sparse.csr_matrix:
     """Build the matrix that maps the temperatures of n local particles to ``T_j - T_i`` of bonds."""
@@ -356,7 +369,8 @@ def heat_of(
         start[held.held] = given[held.held]
         field = ConductedTemperature(start)
         entering = [(condition, mask) for _, condition, mask in applied.heat]
-        made = Heat(body, declared, conducting, operator, omega, field, held, entering, damage)
+        ties = [term for term in applied.following if isinstance(term, TiedForces)]
+        made = Heat(body, declared, conducting, operator, omega, field, held, entering, ties, damage)
         for t in (0.0, 1.0):
             made.sources(t)
             held.at(t)

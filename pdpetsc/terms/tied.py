@@ -32,6 +32,13 @@ class TiedForces(PointSprings):
     stiffness, spacing, name
         As for ``BodyContactForces``.
 
+    Attributes
+    ----------
+    points : Points
+        The middles of the overlaps.
+    spacing : float
+        The coarser spacing [length].
+
     Notes
     -----
     Construction and the methods are collective.
@@ -57,6 +64,7 @@ class TiedForces(PointSprings):
         x = mine.x[pairs.rows] + pairs.one
         points = Points(x, pairs.area, np.arange(len(pairs.rows)), stencils, ends.weights)
         super().__init__(body, points, np.tile(stiffness * np.eye(body.dim), (len(pairs.rows), 1, 1)), declared.name)
+        self.points, self.spacing = points, spacing
         # An own particle at both ends of each pair.
         self.joined = np.stack([ends.members[ends.ptr[:-1]], ends.members[ends.ptr[1:] - 1]], axis=1)
 

@@ -30,7 +30,7 @@ def heat_of(model, k, declared=None, bonds=False):
     operator = None if bonds else (lambda: model.operator)
     body, damage = model.problem.body, model.problem.damage
     declared = pd.HeatConduction() if declared is None else declared
-    return Heat(body, declared, conducting, operator, omega, ConductedTemperature(start), held, [], damage)
+    return Heat(body, declared, conducting, operator, omega, ConductedTemperature(start), held, [], [], damage)
 
 
 @pytest.mark.parametrize("dim", scenes.DIMS)
@@ -376,3 +376,42 @@ def test_heat_that_enters_a_particle_that_nothing_joins_to_others_has_nowhere_to
     b[-1] = 1.0
     assert not matrix.solve(b, start)[1]
     matrix.destroy()
+
+
+TIED = """
+import pdpetsc as pd
+
+def case(dim=2, coupling="staggered"):
+    low, high = (0.0,) * (dim - 1), (1.0,) * (dim - 1)
+    parts = {
+        "a": pd.LatticeNodes((0.0, *low), (2.0, *high), 0.25),
+        "b": pd.LatticeNodes((2.0, *low), (4.0, *high), 0.2),
+    }
+    law = pd.LinearElastic(E=100.0, nu=0.3)
+    return pd.Case(
+        particles=pd.Bodies(parts),
+        material=pd.Thermal(law, 1e-3, conductivity=2.0, capacity=1.0),
+        heat=pd.HeatConduction(duration=1e6, coupling=coupling),
+        conditions=[
+            pd.Displacement("a -x", **dict.fromkeys("xyz"[:dim], 0.0)),
+            pd.Tied("a +x", "b -x"),
+            pd.Temperature("a -x", 0.0, schedule=pd.Hold()),
+            pd.HeatFlux("b +x", 5.0, schedule=pd.Hold()),
+        ],
+        history={
+            "apart": pd.LargestError(pd.temperature, lambda x, t: 2.5 * t * x[:, 0]),
+            "q": pd.Mean(pd.heat_flux, "x"),
+        },
+        results=lambda h: {"apart": h["apart"][-1], "q": h["q"][-1]},
+    )
+"""
+
+
+def test_heat_passes_a_tie_as_it_passes_the_body(tmp_path):
+    """The resistance of the tie is that of a thousandth of a spacing, on any ranks and with either coupling."""
+    path = tmp_path / "tied.py"
+    path.write_text(TIED)
+    for words, ranks in (([], 1), ([], 3), (["coupling=monolithic"], 2), (["dim=3"], 2)):
+        found = results(path, *words, ranks=ranks, output=tmp_path / f"{ranks}{len(words)}")["results"]
+        assert found["apart"] < 2.5 * 0.25e-3 * (1.0 + 1e-3)
+        assert found["q"] == pytest.approx(-5.0, rel=1e-5)

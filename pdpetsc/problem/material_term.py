@@ -50,7 +50,7 @@ class MaterialTerm(Term):
     @property
     @abstractmethod
     def kappa(self) -> float:
-        """Return a typical modulus, ``lambda + 2 mu / dim`` [stress] (not collective)."""
+        """Return a typical modulus on this rank, ``lambda + 2 mu / dim`` [stress] (not collective)."""
 
     @property
     @abstractmethod

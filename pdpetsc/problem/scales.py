@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.kernels.sparsity import nearest_neighbours
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.material_term import MaterialTerm
@@ -46,7 +46,7 @@ def stiffness_scale(body: Body, material_term: MaterialTerm) -> float:
     """Compute a typical diagonal of the tangent, ``kappa V / horizon^2``, of the stiffest material (collective)."""
     cloud = body.cloud
     each = cloud.volume[: cloud.n_owned] / cloud.local_horizon[: cloud.n_owned] ** 2
-    return material_term.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
+    return largest(cloud.comm, material_term.kappa) * float(total(cloud.comm, each.sum())) / cloud.n_global
 
 
 def mean_spacing(body: Body, chosen: Mask | GlobalIndex | slice = slice(None)) -> float:

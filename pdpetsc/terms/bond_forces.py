@@ -298,8 +298,9 @@ class BondForces(MaterialTerm):
 
     @property
     def kappa(self) -> float:
-        """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
-        return max(elastic.bulk_like_modulus(self.body.dim) for elastic in self._elastic)
+        """Return the largest ``lambda + 2 mu / dim`` of materials times the largest factor on this rank [stress]."""
+        moduli = [elastic.bulk_like_modulus(self.body.dim) for elastic in self._elastic]
+        return max(moduli) * float(self.factor.max(initial=0.0))
 
     @property
     def largest_modulus(self) -> float:

@@ -299,8 +299,12 @@ class MaterialPoints(MaterialTerm):
 
     @property
     def kappa(self) -> float:
-        """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
-        return max(at_points.material.bulk_like_modulus(self.body.dim) for at_points in self.materials)
+        """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
+        return max(
+            at_points.material.bulk_like_modulus(self.body.dim)
+            * (1.0 if at_points.factor is None else float(at_points.factor.max(initial=0.0)))
+            for at_points in self.materials
+        )
 
     @property
     def largest_modulus(self) -> float:

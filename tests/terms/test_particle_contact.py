@@ -43,6 +43,16 @@ def test_bars_that_collide_keep_momentum_and_energy(tmp_path):
     assert np.abs(fine.history["error"]).max() < 1e-3
 
 
+def test_the_stiffness_follows_the_moduli_of_a_graded_material(tmp_path):
+    """Bodies whose modulus is written as the factor of a graded material repel each other as others."""
+    law = pd.Graded(pd.BondBased(E=1e-4, density=1.0), factor=lambda x: np.full(len(x), 1e4))
+    short = pd.Explicit(end=25.0, records=5)
+    plain = pd.run(bars(solver=short), tmp_path / "plain").history["two"]
+    graded = pd.run(bars(solver=short, material=law), tmp_path / "graded").history["two"]
+    assert plain[-1] > 1e-3
+    np.testing.assert_allclose(graded, plain, rtol=1e-6, atol=1e-12)
+
+
 TEXT = """
 import pdpetsc as pd
 

@@ -57,6 +57,15 @@ def test_tension_and_shear_pass_uniformly(dim, spacings, tmp_path):
     assert run.history["top"][-1] == pytest.approx(2.0 * 10.0 / E, rel=1e-3)
 
 
+def test_the_stiffness_follows_the_moduli_of_a_graded_material(tmp_path):
+    """A modulus that is written as the factor of a graded material is the modulus of the body."""
+    law = pd.Graded(pd.LinearElastic(E=1.0, nu=NU, plane="stress"), factor=lambda x: np.full(len(x), E))
+    whole, graded = (
+        pd.run(stacked(**more), tmp_path / name).history["top"] for name, more in (("E", {}), ("f", {"material": law}))
+    )
+    np.testing.assert_allclose(graded, whole, rtol=1e-9)
+
+
 TEXT = """
 import pdpetsc as pd
 

@@ -62,6 +62,11 @@ class Bodies(Particles):
         return any(one.irregular for one in self.parts.values())
 
     @property
+    def bodies(self) -> tuple[Particles, ...]:
+        """Return the particles of each body, in the order of creation."""
+        return tuple(self.parts.values())
+
+    @property
     def on_surface(self) -> bool:
         """Return True if the outer particles of all bodies lie on their surfaces."""
         return all(one.on_surface for one in self.parts.values())

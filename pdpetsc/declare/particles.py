@@ -70,6 +70,11 @@ class Particles(Declared, ABC):
         return False
 
     @property
+    def bodies(self) -> tuple[Particles, ...]:
+        """Return the particles of each body, in the order of creation."""
+        return (self,)
+
+    @property
     def on_surface(self) -> bool:
         """Return True if outer particles are known to be on the surface itself, as nodes are."""
         return False

@@ -145,6 +145,8 @@ class FieldWriter:
         if not cloud.comm.bcast(there):
             n = cloud.n_owned
             values = {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]}
+            if cloud.body is not None:
+                values["body"] = cloud.body[:n]
             self._store(folder / FIELDS / "particles.h5", {name: storable(array) for name, array in values.items()})
         with agreed(cloud.comm):
             if is_root(cloud.comm):

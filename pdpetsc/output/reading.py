@@ -161,9 +161,16 @@ class StoredFields:
             return float(file[self._group(step)].attrs["t"])
 
     def of_particles(self, name: str, stride: int = 1) -> NDArray[Any]:
-        """Return ``position`` (n, 3) [length], ``volume`` (n,) or ``id`` (n,) of the particles."""
+        """Return ``position`` (n, 3) [length], ``volume`` (n,), ``id`` (n,) or ``body`` (n,) of the particles."""
         with self._open() as file:
             return np.asarray(file[f"particles/{name}"][::stride])
+
+    @property
+    def body(self) -> NDArray[np.int64]:
+        """Return the number of the body of each particle (n,), 0 for one body."""
+        with self._open() as file:
+            found = file["particles"].get("body")
+            return np.zeros(self.n_particles, dtype=np.int64) if found is None else np.asarray(found, dtype=np.int64)
 
     def _group(self, step: int | None) -> str:
         number = self.steps[-1] if step is None else step

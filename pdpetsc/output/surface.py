@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,30 +25,40 @@ MOST_CELLS = 1_000_000
 
 
 def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> None:
-    """Write the surface of a body, if it is known and the particles do not fill equal boxes (collective).
+    """Write the surface of each body, if it is known and the particles do not fill equal boxes (collective).
 
     Raises
     ------
     OutputError
         The file cannot be written, on all ranks.
     """
-    if particles.fills_boxes:
-        return
-    mine: tuple[Float, ...] = ()
-    try:
-        x, area, _, _ = particles.surface(comm.rank, comm.size).arrays
-        triangles = particles.triangles(comm.rank, comm.size)
-        mine = (x, area, np.empty((0, 3, 3)) if triangles is None else triangles)
-    except CaseError:
-        pass
-    if not smallest(comm, len(mine)):
-        return
-    parts = comm.gather(mine)
+    names, arrays = ("position", "area", "triangles"), dict[str, Float]()
+    for number, body in enumerate(particles.bodies):
+        if body.fills_boxes:
+            continue
+        mine: tuple[Float, ...] = ()
+        try:
+            x, area, _, _ = body.surface(comm.rank, comm.size).arrays
+            triangles = body.triangles(comm.rank, comm.size)
+            mine = (x, area, np.empty((0, 3, 3)) if triangles is None else triangles)
+        except CaseError:
+            pass
+        if smallest(comm, len(mine)):
+            parts = comm.gather(mine) or []
+            arrays |= {_of(number, name): _joined(parts, n) for n, name in enumerate(names) if parts}
     with agreed(comm):
-        if is_root(comm) and parts is not None:
-            names = ("position", "area", "triangles")
-            arrays = {name: np.concatenate([part[n] for part in parts]) for n, name in enumerate(names)}
+        if arrays and is_root(comm):
             _write(folder / FIELDS / SURFACE, run, arrays)
+
+
+def _of(number: int, name: str) -> str:
+    """Return the name of an array of a body in the file."""
+    return f"{name}_{number}" if number else name
+
+
+def _joined(parts: Sequence[tuple[Float, ...]], n: int) -> Float:
+    """Return an array of all ranks."""
+    return np.concatenate([part[n] for part in parts])
 
 
 def write_cells(comm: Comm, folder: Path, run: str, particles: Particles, n: int) -> Cells | None:
@@ -85,13 +95,13 @@ def _write(path: Path, run: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         raise cannot_write(path, error) from error
 
 
-def read_surface(folder: Path, run: str | None) -> Facets | None:
-    """Return the stored surface of a run, None without one; raises CaseError if the file is damaged."""
+def read_surface(folder: Path, run: str | None, body: int = 0) -> Facets | None:
+    """Return the stored surface of a body of a run, None without one; raises CaseError if the file is damaged."""
     path = folder / FIELDS / SURFACE
     arrays = _read(path, run)
-    if arrays is None:
+    if arrays is None or (body and _of(body, "position") not in arrays):
         return None
-    x, area, triangles = (arrays.get(name, np.empty(0)) for name in ("position", "area", "triangles"))
+    x, area, triangles = (arrays.get(_of(body, name), np.empty(0)) for name in ("position", "area", "triangles"))
     shaped = x.ndim == 2 and x.shape[1] in (1, 2, 3) and area.shape == x.shape and triangles.shape[1:] == (3, 3)
     if not (shaped and all(np.isfinite(array).all() for array in (x, area, triangles))):
         raise _damaged(path, "it holds no facets")

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declared import ByName, near_or_all
@@ -153,8 +153,8 @@ class Result(Mapping[str, float]):
     def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
 
-        Particles beyond a pre-crack or behind broken bonds are excluded from the fit. If too few remain for a slope, a
-        point has the value of its particle.
+        Particles of other bodies, beyond a pre-crack or behind broken bonds are excluded from the fit. If too few
+        remain for a slope, a point has the value of its particle. A point on two bodies has the value of the first.
 
         Parameters
         ----------
@@ -185,21 +185,31 @@ class Result(Mapping[str, float]):
                 f"The field {name} of {self.folder} is a force per particle and has no values between particles. Sum "
                 f"field({name!r}) over a region instead."
             )
-        values = np.asarray(self.field(name, step), dtype=float)
-        x, inside = self._body
-        return sampled(x, values, points, inside, self._held(x[:, : len(inside.sides)], step))
+        values, x = np.asarray(self.field(name, step), dtype=float), self.x
+        found: Float | None = None
+        # A body of one particle among others has no value at other points.
+        for particles, inside in [one for one in self._bodies if len(one[0]) > 1] or self._bodies:
+            held = self._held(x[:, : len(inside.sides)], step, particles)
+            of_body = sampled(x[particles], values[particles], points, inside, held)
+            found = of_body if found is None else np.where(np.isnan(found), of_body, found)
+        assert found is not None
+        return found
 
     @cached_property
-    def _body(self) -> tuple[Float, Inside]:
-        """Return the positions of the particles (n, 3), and the point location of the body."""
+    def _bodies(self) -> list[tuple[GlobalIndex, Inside]]:
+        """Return the particles of each body and its point location."""
         stored, x = self.fields, self.x
         dim = int(self.summary.get("dimension") or max(1, int((np.ptp(x, axis=0) > 0.0).sum())))
         depth = float(self.summary.get("thickness") or 1.0) if dim < 3 else 1.0
-        surface = read_surface(self.folder, stored.run)
-        return x, inside_of(x[:, :dim], np.asarray(stored.of_particles("volume")), depth, surface)
+        volume, body = np.asarray(stored.of_particles("volume")), stored.body
+        found = []
+        for number in range(int(body.max()) + 1):
+            particles, surface = np.flatnonzero(body == number), read_surface(self.folder, stored.run, number)
+            found.append((particles, inside_of(x[particles, :dim], volume[particles], depth, surface)))
+        return found
 
-    def _held(self, x: Float, step: int | None) -> Held:
-        """Return the connection of particles (n, dim) at a step."""
+    def _held(self, x: Float, step: int | None, particles: GlobalIndex) -> Held:
+        """Return the connection of some of the particles (n, dim) at a step."""
         records = self.summary.get("cuts")
         if records is None:
             # Earlier versions stored only crack lines of plane bodies.
@@ -214,9 +224,10 @@ class Result(Mapping[str, float]):
             )
         stored = self.fields
         broken = broken_pairs(self.folder, stored.steps[-1] if step is None else step, x)
+        broken = np.searchsorted(particles, broken[np.isin(broken, particles).all(axis=1)])
         horizon = self.summary.get("horizon")
         known = [crack for _, crack in cracks if crack is not None]
-        return Held(x, known, broken, float(horizon) if horizon else np.inf)
+        return Held(x[particles], known, broken, float(horizon) if horizon else np.inf)
 
     def frame(self) -> Any:
         """Return the history as a pandas data frame, one row per step.

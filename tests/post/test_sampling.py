@@ -259,3 +259,23 @@ def test_particles_at_corners_of_cells_fill_all_of_these(dim):
     found = inside_of(whole.x, whole.volume, particles.thickness, facets).homes(at) >= 0
     there = ((at > 0.0) & (at < 6.0)).all(axis=1) & ~((at > 2.0) & (at < 4.0)).all(axis=1)
     assert np.array_equal(found, there)
+
+
+@pytest.mark.parametrize("kind", [pd.Lattice, pd.LatticeNodes])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_points_have_the_value_of_their_own_body(kind, dim, tmp_path):
+    """A block on another one of finer spacing slides and turns: both have their own linear field up to the surface."""
+    low, high, up = np.zeros(dim), np.ones(dim), np.eye(dim)[1]
+    parts = {"lower": kind(low, high, 0.25), "upper": kind(low + up, high + up, 0.2)}
+    slide = pd.Displacement("upper", **{"x": lambda x, t: 0.5 - 0.1 * x[:, 1]}, **dict.fromkeys("yz"[: dim - 1], 0.0))
+    case = pd.Case(
+        particles=pd.Bodies(parts),
+        material=pd.LinearElastic(E=1.0, nu=0.3),
+        conditions=[pd.Displacement("lower", **dict.fromkeys("xyz"[:dim], 0.0)), slide],
+        fields=[pd.displacement],
+    )
+    run = pd.run(case, tmp_path)
+    at = np.full((60, dim), 0.47)
+    at[:, 0], at[:, 1] = np.tile(np.linspace(0.03, 0.97, 10), 6), np.repeat([0.7, 0.93, 0.999, 1.001, 1.04, 1.3], 10)
+    exact = np.where(at[:, 1] < 1.0, 0.0, 0.5 - 0.1 * at[:, 1])
+    np.testing.assert_allclose(run.sample(at)[:, 0], exact, atol=1e-9)

@@ -41,6 +41,8 @@ EVERYWHERE = All()
 # A point is outside of the body if the nearest particle is further away than this share of its horizon, and than this
 # multiple of the distance to its nearest neighbour. Corners of cells are nearer.
 OUTSIDE, OUTSIDE_SPACINGS = 0.6, 1.5
+# Values of two bodies at a point differ if they do by more than this share.
+APART = 0.01
 
 
 class _Known(NamedTuple):
@@ -214,6 +216,20 @@ class _AtPoint(Mean):
     def evaluate(self, solution: Solution) -> float:
         self._refuse_outside(solution)
         return super().evaluate(solution)
+
+    def doubt(self, solution: Solution) -> str:
+        """Return the range of the values if the nearest particles are of several bodies and move or deform apart."""
+        body, chosen = solution.cloud.body, solution.select(self.region)
+        if body is None:
+            return ""
+        own, values = body[: len(chosen)][chosen], self._chosen(solution)
+        low, high = solution.smallest(values), solution.largest(values)
+        if solution.smallest(own) == solution.largest(own) or high - low <= APART * max(abs(low), abs(high)):
+            return ""
+        return (
+            f"is the mean of equally near particles of several bodies, with values from {low:.4g} to {high:.4g}; move "
+            f"the point into one body, or take Mean over pd.region.Named of the body & pd.region.Nearest"
+        )
 
     def _refuse_outside(self, solution: Solution) -> None:
         """Raise CaseError on all ranks if the point is further from the nearest particle than ``At`` allows."""

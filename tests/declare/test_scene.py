@@ -275,6 +275,26 @@ def test_a_point_outside_of_the_body_is_refused(point, inside, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+def test_a_point_on_two_bodies_that_differ_is_doubtful(tmp_path):
+    """One body has slid on the other; ``At`` of their common corner is a mean of both."""
+    parts = {"a": pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), "b": pd.LatticeNodes((0.0, 1.0), (2.0, 2.0), 0.2)}
+    on_both = {name: region.Named(name) & region.Nearest((1.0, 1.0)) for name in parts}
+    run = pd.run(
+        pd.Case(
+            pd.Bodies(parts), material=pd.LinearElastic(1.0, 0.3),
+            conditions=[pd.Displacement("a", x=0.0, y=0.0), pd.Displacement("b", x=0.5, y=0.0)],
+            history={
+                "both": pd.At((1.0, 1.0), pd.displacement, "x"), "still": pd.At((1.0, 1.0), pd.displacement, "y"),
+                **{name: pd.Mean(pd.displacement, "x", place) for name, place in on_both.items()},
+            },
+        ),
+        tmp_path,
+    )  # fmt: skip
+    assert (run.history["a"][-1], run.history["b"][-1]) == (0.0, 0.5)
+    assert set(run.doubts) == {"both"}
+    assert "particles of several bodies, with values from 0 to 0.5" in run.doubts["both"]
+
+
 RANKS = """
 import sys
 import pdpetsc as pd

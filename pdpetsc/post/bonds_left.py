@@ -11,7 +11,7 @@ from pdpetsc.post.solution import Solution
 
 
 def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float, Mask]:
-    """Return the pairs of owned particles with those in their local horizon, and the state of their bonds.
+    """Return pairs of owned particles with those of their body in their local horizon, and the state of their bonds.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
     Returns
     -------
     pairs : (n_pairs, 2) int64
-        A particle of the zone, and a local one within its local horizon.
+        A particle of the zone, and a local one of its body within its local horizon.
     left : (n_pairs,) float64
         Degradation factor of the bond [-]: 1 intact, 0 broken or cut by a pre-crack.
     bonded : (n_pairs,) bool
@@ -45,6 +45,8 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
     )
     i, j = zone[found["i"]], around[found["j"]]
     near = (i != j) & (found["v"] <= cloud.local_horizon[i] * (1.0 + HORIZON_TOLERANCE))
+    if cloud.body is not None:
+        near &= cloud.body[i] == cloud.body[j]
     pairs = np.stack([i[near], j[near]], axis=1)
     centres, neighbours, phi = _bonds_of(solution, zone)
     key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]

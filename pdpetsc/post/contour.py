@@ -299,6 +299,10 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     held = int(solution.sum(np.count_nonzero(solution.problem.held.any(axis=1) & inside)))
     if held:
         return f"holds {held} particles with a prescribed displacement; take smaller radii"
+    if solution.cloud.body is not None:
+        of_body = solution.cloud.body[: len(inside)][inside]
+        if solution.smallest(of_body) < solution.largest(of_body):
+            return "holds particles of several bodies; take smaller radii"
     if domain.count < LEAST:
         return (
             f"has {domain.count} particles between its radii, less than {LEAST}; take radii further apart or more "

@@ -705,3 +705,26 @@ def test_lateral_strains_of_a_linear_line_are_linear(material, e):
     nu = material.elastic(1).nu if of_bonds else material.nu
     across = problem.material_term.out_of_plane(state)[0]
     assert across == pytest.approx(1.0 - nu * e, rel=1e-12)
+
+
+def test_the_surface_between_two_bodies_is_no_crack(tmp_path):
+    """Only the pre-crack of the lower body counts, and J does not take the tie for another crack."""
+    parts = {"lower": pd.Lattice((0.0, 0.0), (4.0, 2.0), 0.125), "upper": pd.Lattice((0.0, 2.0), (4.0, 3.0), 0.125)}
+    tip = (2.0, 1.25)
+    case = pd.Case(
+        pd.Bodies(parts),
+        material=pd.LinearElastic(E=100.0, nu=0.3, plane="stress"),
+        conditions=[
+            pd.Displacement("lower -y", x=0.0, y=0.0),
+            pd.Tied("lower +y", "upper -y"),
+            pd.Traction("upper +y", y=0.1),
+        ],
+        cracks=[pd.Segment((-1.0, 1.25), tip)],
+        damage=pd.LinearSoftening(pd.ConstantCritical(0.5), 3.0),
+        horizon=0.375,
+        history={"length": pd.CrackLength(precracks=True)},
+    )
+    assert pd.run(case, tmp_path).history["length"][-1] == pytest.approx(2.0, rel=1e-9)
+    wide = dataclasses.replace(case, history={"J": pd.JIntegral(tip, (1.0, 0.0), 0.4, 1.0)})
+    with pytest.raises(pd.CaseError, match="holds particles of several bodies; take smaller radii"):
+        pd.run(wide, tmp_path)

@@ -99,7 +99,8 @@ def read_surface(folder: Path, run: str | None, body: int = 0) -> Facets | None:
     """Return the stored surface of a body of a run, None without one; raises CaseError if the file is damaged."""
     path = folder / FIELDS / SURFACE
     arrays = _read(path, run)
-    if arrays is None or (body and _of(body, "position") not in arrays):
+    stored = [] if arrays is None else [name for name in arrays if name.startswith("position")]
+    if arrays is None or (stored and _of(body, "position") not in stored):
         return None
     x, area, triangles = (arrays.get(_of(body, name), np.empty(0)) for name in ("position", "area", "triangles"))
     shaped = x.ndim == 2 and x.shape[1] in (1, 2, 3) and area.shape == x.shape and triangles.shape[1:] == (3, 3)

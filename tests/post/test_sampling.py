@@ -262,11 +262,12 @@ def test_particles_at_corners_of_cells_fill_all_of_these(dim):
 
 
 @pytest.mark.parametrize("kind", [pd.Lattice, pd.LatticeNodes])
+@pytest.mark.parametrize("other", [pd.Lattice, pd.LatticeNodes])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_points_have_the_value_of_their_own_body(kind, dim, tmp_path):
+def test_points_have_the_value_of_their_own_body(kind, other, dim, tmp_path):
     """A block on another one of finer spacing slides and turns: both have their own linear field up to the surface."""
     low, high, up = np.zeros(dim), np.ones(dim), np.eye(dim)[1]
-    parts = {"lower": kind(low, high, 0.25), "upper": kind(low + up, high + up, 0.2)}
+    parts = {"lower": kind(low, high, 0.25), "upper": other(low + up, high + up, 0.2)}
     slide = pd.Displacement("upper", **{"x": lambda x, t: 0.5 - 0.1 * x[:, 1]}, **dict.fromkeys("yz"[: dim - 1], 0.0))
     case = pd.Case(
         particles=pd.Bodies(parts),

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import all_largest
 from pdpetsc.errors import CaseError
 from pdpetsc.post.contour import Frame, frames
 from pdpetsc.post.quantities import Quantity
@@ -27,7 +28,8 @@ class CrackOpening(Quantity):
     """Jump of the displacement across a crack line in a plane body [length].
 
     On each side a linear function is fitted to the displacements of the particles within 1.25 horizons of the point,
-    with larger weights for nearer ones, and evaluated at the point. It is exact for linear fields on both sides.
+    with larger weights for nearer ones, and evaluated at the point. It is exact for linear fields on both sides. Of
+    several bodies each side is that of the nearest particle.
     Without a crack the jump is the difference of the fits, which vanishes with the curvature of the field. Images
     behind mirror planes are included.
 
@@ -109,16 +111,22 @@ class CrackOpening(Quantity):
     def _jumps(self, solution: Solution, share: Float) -> Float:
         """Return the jumps along the line and its normal (n, 2) at shares of its length (collective)."""
         start, end = (np.asarray(one, dtype=float) for one in (self.start, self.end))
-        moments, sums = np.zeros((len(share), 2, 3, 3)), np.zeros((len(share), 2, 3, 2))
         cloud = solution.cloud
+        bodies = np.zeros(len(solution.x), dtype=np.int64) if cloud.body is None else cloud.body[: len(solution.x)]
+        shape = len(share), 1 + int(solution.largest(bodies, 0.0)), 2
+        moments, sums, nearest = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3, 2)), np.full(shape, np.inf)
         radius = AROUND * cloud.horizon
         tree = scipy.spatial.cKDTree(solution.x) if len(solution.x) else None
         for number, place in enumerate(start + share[:, None] * (end - start)):
             for frame in frames(cloud, place, (end - start).tolist()):
                 if tree is not None:
                     near = np.array(sorted(tree.query_ball_point(frame.tip, radius)), dtype=np.int64)
-                    _add(frame, solution.x[near], solution.u[near], radius, moments[number], sums[number])
-        moments, sums = solution.sum(moments), solution.sum(sums)
+                    for body in np.unique(bodies[near]):
+                        part, to = near[bodies[near] == body], (number, body)
+                        _add(frame, solution.x[part], solution.u[part], radius, moments[to], sums[to], nearest[to])
+        # Each side is that of the nearest particle, in one body.
+        chosen = (-all_largest(cloud.comm, -nearest)).argmin(axis=1)[:, None, :, None, None]
+        moments, sums = (np.take_along_axis(solution.sum(each), chosen, axis=1)[:, 0] for each in (moments, sums))
         weight = np.maximum(moments[:, :, :1, :1], np.finfo(float).tiny)
         least = np.linalg.eigvalsh(moments / weight)[:, :, 0]
         if np.any(least < EXTENT):
@@ -132,8 +140,8 @@ class CrackOpening(Quantity):
         return np.asarray(at_faces[:, 0] - at_faces[:, 1])
 
 
-def _add(frame: Frame, x: Float, u: Float, radius: float, moments: Float, sums: Float) -> None:
-    """Add the moments and sums of particles to the fits on the left (0) and on the right (1) of a point."""
+def _add(frame: Frame, x: Float, u: Float, radius: float, moments: Float, sums: Float, nearest: Float) -> None:
+    """Add moments, sums and smallest distances of particles to the left (0) and to the right (1) of a point."""
     at, moved = frame.at(x) / radius, u @ frame.turn.T
     w = np.maximum(1.0 - (at**2).sum(axis=1), 0.0) ** 2
     phi = np.concatenate([np.ones((len(at), 1)), at], axis=1)
@@ -141,3 +149,4 @@ def _add(frame: Frame, x: Float, u: Float, radius: float, moments: Float, sums: 
         weighted = (w * here)[:, None] * phi
         moments[side] += weighted.T @ phi
         sums[side] += weighted.T @ moved
+        nearest[side] = np.linalg.norm(at[here], axis=1).min(initial=nearest[side])

@@ -728,3 +728,19 @@ def test_the_surface_between_two_bodies_is_no_crack(tmp_path):
     wide = dataclasses.replace(case, history={"J": pd.JIntegral(tip, (1.0, 0.0), 0.4, 1.0)})
     with pytest.raises(pd.CaseError, match="holds particles of several bodies; take smaller radii"):
         pd.run(wide, tmp_path)
+
+
+def test_an_opening_beside_another_body_is_that_of_its_own(tmp_path):
+    """The upper body has slid on the lower one, which is not deformed: only the line between them opens."""
+    parts = {"lower": pd.Lattice((0.0, 0.0), (4.0, 1.0), 0.125), "upper": pd.Lattice((0.0, 1.0), (4.0, 2.0), 0.125)}
+    lines = {"within": 0.75, "between": 1.0}
+    case = pd.Case(
+        pd.Bodies(parts),
+        material=pd.LinearElastic(E=100.0, nu=0.3, plane="stress"),
+        conditions=[pd.Displacement("lower", x=0.0, y=0.0), pd.Displacement("upper", x=0.1, y=0.0)],
+        horizon=0.375,
+        history={name: pd.CrackOpening((0.0, y), (4.0, y), component="along") for name, y in lines.items()},
+    )
+    run = pd.run(case, tmp_path)
+    assert run.history["within"][-1] == pytest.approx(0.0, abs=1e-12)
+    assert run.history["between"][-1] == pytest.approx(0.1, rel=1e-9)

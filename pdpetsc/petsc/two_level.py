@@ -1,4 +1,4 @@
-"""Two-level preconditioner of a matrix-free tangent: its diagonal blocks, and a grid one horizon wide."""
+"""Two-level preconditioner of a matrix-free tangent: its diagonal blocks, and a background grid."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TwoLevel(Preconditioning):
     """Provide PETSc's multigrid with two levels: diagonal blocks of the tangent, and a background grid.
 
     A nonlocal operator resists all waves shorter than about two horizons alike, so that diagonal blocks are as good as
-    any smoother for them. A grid of linear elements with cells one horizon wide resolves the longer waves.
+    any smoother for them. A grid of linear elements resolves the longer waves; see ``BackgroundElements``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Coarse space of a two-level preconditioner: a background grid with cells one horizon wide."""
+"""Coarse space of a two-level preconditioner: linear elements on a background grid."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ CHUNK = 4096
 
 class BackgroundElements(BackgroundGrid, Filler):
     """Provide linear finite elements on a background grid, as coarse space for the tangent of a body.
+
+    Its cells are one horizon wide, and at least ``LEAST_WIDTH`` spacings. With a horizon of two spacings, narrower
+    cells would save a fifth of the iterations, but have over three times the nodes.
 
     The stiffness is ``sum_e int B^T D_e B``. The moduli ``D_e`` are the sum over the particles of the element,
     distributed evenly over its cell. In every uniform deformation the energy is that of the body, for any scheme,

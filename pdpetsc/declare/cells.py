@@ -409,8 +409,9 @@ class CellFacets:
     @property
     def free(self) -> Mask:
         """Return which facets belong to one cell only (n_facets,)."""
-        _, inverse, count = np.unique(self.key, axis=0, return_inverse=True, return_counts=True)
-        return np.asarray(count[np.ravel(inverse)] == 1)
+        found = np.ones(len(self.key), dtype=bool)
+        found[np.concatenate(self.shared)] = False
+        return found
 
 
 def facets(points: Float, blocks: list[Block]) -> CellFacets:

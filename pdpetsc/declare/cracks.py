@@ -294,11 +294,15 @@ def _crossing(
 
 
 def _between_sides(a: Float, b: Float, side_a: Float, side_b: Float) -> tuple[Mask, Float, Float]:
-    """Return which bonds cross a surface at distances ``side_a`` and ``side_b``, tolerances, and crossing points."""
+    """Return which bonds cross a surface at distances ``side_a`` and ``side_b``, tolerances, and crossing points.
+
+    Bonds along the surface cross it in their middle: the distances of their ends are rounding.
+    """
     close = TOUCHING * np.linalg.norm(b - a, axis=1)
     crossing = ((side_a >= -close) & (side_b <= close)) | ((side_b >= -close) & (side_a <= close))
-    share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
-    return crossing, close, a + share[:, None] * (b - a)
+    through = np.maximum(np.abs(side_a), np.abs(side_b)) > close
+    share = np.where(through, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
+    return crossing, close, a + np.clip(share, 0.0, 1.0)[:, None] * (b - a)
 
 
 def _inside(corners: Float, where: Float, close: Float) -> Mask:

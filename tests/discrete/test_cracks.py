@@ -49,6 +49,30 @@ def test_bonds_through_the_edge_of_a_crack_are_cut_wherever_the_body_is(rng):
         assert cut(move, 10.0 ** rng.uniform(-6.0, 6.0)) == [polygon, disc]
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_bonds_along_a_crack_are_cut_however_the_body_is_turned(dim, rng):
+    """Particles lie on the crack, and only rounding tells on which side; their bonds cross it in their middle."""
+    x = grid(*[6] * dim)
+
+    def cut(turn, move):
+        def at(place):
+            return (turn @ np.asarray(place, dtype=float) + move).tolist()
+
+        if dim == 2:
+            cracks = [pd.Segment(at((0.5, 2.0)), at((3.5, 2.0)))]
+        else:
+            corners = [(0.5, 0.5, 2.0), (3.5, 0.5, 2.0), (3.5, 3.5, 2.0), (0.5, 3.5, 2.0)]
+            disc = pd.Disc(at((2.0, 2.0, 2.0)), turn[:, 2].tolist(), 1.0)
+            cracks = [pd.PolygonCrack([at(corner) for corner in corners]), disc]
+        return [cut_by(x @ turn.T + move, 1.5, [crack]) for crack in cracks]
+
+    straight = cut(np.eye(dim), np.zeros(dim))
+    assert min(map(len, straight)) > 0
+    for _ in range(6):
+        turn = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
+        assert cut(turn, rng.uniform(-9.0, 9.0, dim)) == straight
+
+
 def test_a_segment_cuts_what_crosses_it_and_no_more():
     x = grid(6, 4)
     cut = cut_by(x, 1.5, [pd.Segment((-1.0, 1.5), (2.5, 1.5))])

@@ -41,8 +41,9 @@ EVERYWHERE = All()
 # A point is outside of the body if the nearest particle is further away than this share of its horizon, and than this
 # multiple of the distance to its nearest neighbour. Corners of cells are nearer.
 OUTSIDE, OUTSIDE_SPACINGS = 0.6, 1.5
-# Values of two bodies at a point differ if they do by more than this share.
-APART = 0.01
+# Values of two bodies at a point differ if they do by more than the first share of the larger one, and by more than the
+# second share of the largest entry of the field anywhere.
+APART, ROUND_OFF = 0.01, 1e-6
 
 
 class _Known(NamedTuple):
@@ -222,9 +223,12 @@ class _AtPoint(Mean):
         body, chosen = solution.cloud.body, solution.select(self.region)
         if body is None:
             return ""
-        own, values = body[: len(chosen)][chosen], self._chosen(solution)
+        own = body[: len(chosen)][chosen]
+        if solution.smallest(own) == solution.largest(own):
+            return ""
+        values, of_all = self._chosen(solution), solution.largest(np.abs(_values(solution, self.field)))
         low, high = solution.smallest(values), solution.largest(values)
-        if solution.smallest(own) == solution.largest(own) or high - low <= APART * max(abs(low), abs(high)):
+        if high - low <= max(APART * max(abs(low), abs(high)), ROUND_OFF * of_all):
             return ""
         return (
             f"is the mean of equally near particles of several bodies, with values from {low:.4g} to {high:.4g}; move "

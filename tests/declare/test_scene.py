@@ -295,6 +295,25 @@ def test_a_point_on_two_bodies_that_differ_is_doubtful(tmp_path):
     assert "particles of several bodies, with values from 0 to 0.5" in run.doubts["both"]
 
 
+def test_round_off_at_a_point_on_two_bodies_is_not_doubtful(tmp_path):
+    """Tied blocks under tension have no shear stress; what is left of it differs between both at their surface."""
+    parts = {"a": pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), "b": pd.LatticeNodes((0.0, 1.0), (2.0, 2.0), 0.25)}
+    run = pd.run(
+        pd.Case(
+            pd.Bodies(parts), material=pd.LinearElastic(1.0, 0.3),
+            conditions=[
+                pd.Displacement("a -y", y=0.0), pd.Displacement("a -x", x=0.0), pd.Displacement("b -x", x=0.0),
+                pd.Tied("a +y", "b -y"), pd.Traction("b +y", y=0.01),
+            ],
+            history={
+                "shear": pd.At((1.0, 1.0), pd.stress, "xy"), "across": pd.At((1.0, 1.0), pd.stress, "xx"),
+            },
+        ),
+        tmp_path,
+    )  # fmt: skip
+    assert not run.doubts
+
+
 RANKS = """
 import sys
 import pdpetsc as pd

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -298,15 +298,23 @@ class BondForces(MaterialTerm):
 
     @property
     def kappa(self) -> float:
-        """Return the largest ``lambda + 2 mu / dim`` of materials times the largest factor on this rank [stress]."""
-        moduli = [elastic.bulk_like_modulus(self.body.dim) for elastic in self._elastic]
-        return max(moduli) * float(self.factor.max(initial=0.0))
+        """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
+        return self._largest(lambda elastic: elastic.bulk_like_modulus(self.body.dim))
 
     @property
     def largest_modulus(self) -> float:
-        """Return the largest ``lambda + 2 mu`` of the materials times the largest factor on this rank [stress]."""
-        lame = [elastic.lame(self.body.dim) for elastic in self._elastic]
-        return max(lam + 2.0 * mu for lam, mu in lame) * float(self.factor.max(initial=0.0))
+        """Return the largest ``lambda + 2 mu`` times factor of the materials on this rank [stress]."""
+
+        def modulus(elastic: LinearElastic) -> float:
+            lam, mu = elastic.lame(self.body.dim)
+            return lam + 2.0 * mu
+
+        return self._largest(modulus)
+
+    def _largest(self, modulus: Callable[[LinearElastic], float]) -> float:
+        """Return the largest modulus times factor of the own particles [stress]."""
+        moduli = np.array([modulus(elastic) for elastic in self._elastic])
+        return float((moduli[self.material_of] * self.factor).max(initial=0.0))
 
     def dissipation_density(self) -> Float | None:
         """Compute the dissipation of failing bonds, half of it at each end (n_owned,) [energy / volume].

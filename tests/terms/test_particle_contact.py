@@ -46,11 +46,13 @@ def test_bars_that_collide_keep_momentum_and_energy(tmp_path):
 def test_the_stiffness_follows_the_moduli_of_a_graded_material(tmp_path):
     """Bodies whose modulus is written as the factor of a graded material repel each other as others."""
     law = pd.Graded(pd.BondBased(E=1e-4, density=1.0), factor=lambda x: np.full(len(x), 1e4))
+    both = [(pd.region.Named("one"), pd.BondBased(E=1.0, density=1.0)), (pd.region.Named("two"), law)]
     short = pd.Explicit(end=25.0, records=5)
     plain = pd.run(bars(solver=short), tmp_path / "plain").history["two"]
-    graded = pd.run(bars(solver=short, material=law), tmp_path / "graded").history["two"]
     assert plain[-1] > 1e-3
-    np.testing.assert_allclose(graded, plain, rtol=1e-6, atol=1e-12)
+    for name, material in {"graded": law, "one of two": both}.items():
+        found = pd.run(bars(solver=short, material=material), tmp_path / name).history["two"]
+        np.testing.assert_allclose(found, plain, rtol=1e-6, atol=1e-12)
 
 
 TEXT = """

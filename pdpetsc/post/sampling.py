@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy
@@ -78,6 +79,17 @@ def grid(low: Sequence[float], high: Sequence[float], n: Sequence[int]) -> Float
     return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(a)))
 
 
+def rows_of_points(points: Any, x: Float) -> Float:
+    """Return points as rows: a list of numbers is positions along a line body ``x`` (n, 3), else one point."""
+    given = np.asarray(points, dtype=float)
+    return given if given.ndim >= 2 else given.reshape((-1, 1) if len(_axes_of(x)) == 1 else (1, -1))
+
+
+def _axes_of(x: Float) -> GlobalIndex:
+    """Return the axes along which a body has an extent."""
+    return np.flatnonzero(np.ptp(x, axis=0) > 0.0)
+
+
 def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | None = None) -> Float:
     """Return a field at points by a weighted linear fit to the nearest particles.
 
@@ -110,13 +122,9 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
         The points have a wrong number of coordinates or are not finite, or the body is a single particle and a point is
         not at it.
     """
-    axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0)
-    given = np.asarray(points, dtype=float)
+    axes, given = _axes_of(x), rows_of_points(points, x)
     if given.size == 0:
         return np.empty((0, *np.shape(values)[1:]))
-    if given.ndim < 2:
-        # A list of numbers is positions along a line body; otherwise it is the coordinates of one point.
-        given = given.reshape((-1, 1) if len(axes) == 1 else (1, -1))
     columns = np.arange(len(body.sides))
     # The dimension of a single particle is not known from its position.
     allowed = (3, len(columns), len(axes)) if len(x) > 1 else (1, 2, 3)

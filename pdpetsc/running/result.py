@@ -29,7 +29,7 @@ from pdpetsc.output.scene import broken_pairs, grid_of
 from pdpetsc.output.surface import read_surface
 from pdpetsc.output.tables import cell, table_html
 from pdpetsc.post.point_location import Held, Inside, inside_of
-from pdpetsc.post.sampling import sampled
+from pdpetsc.post.sampling import rows_of_points, sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
 
@@ -186,11 +186,13 @@ class Result(Mapping[str, float]):
                 f"field({name!r}) over a region instead."
             )
         values, x = np.asarray(self.field(name, step), dtype=float), self.x
+        # One body among others may be a line.
+        rows = rows_of_points(points, x)
         found: Float | None = None
         # A body of one particle among others has no value at other points.
         for particles, inside in [one for one in self._bodies if len(one[0]) > 1] or self._bodies:
             held = self._held(x[:, : len(inside.sides)], step, particles)
-            of_body = sampled(x[particles], values[particles], points, inside, held)
+            of_body = sampled(x[particles], values[particles], rows, inside, held)
             found = of_body if found is None else np.where(np.isnan(found), of_body, found)
         assert found is not None
         return found

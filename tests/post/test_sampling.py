@@ -280,3 +280,18 @@ def test_points_have_the_value_of_their_own_body(kind, other, dim, tmp_path):
     at[:, 0], at[:, 1] = np.tile(np.linspace(0.03, 0.97, 10), 6), np.repeat([0.7, 0.93, 0.999, 1.001, 1.04, 1.3], 10)
     exact = np.where(at[:, 1] < 1.0, 0.0, 0.5 - 0.1 * at[:, 1])
     np.testing.assert_allclose(run.sample(at)[:, 0], exact, atol=1e-9)
+
+
+@pytest.mark.parametrize("first", ["block", "row"])
+def test_a_list_of_numbers_is_one_point_if_only_one_of_several_bodies_is_a_line(first, tmp_path):
+    parts = {"block": pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.25), "row": pd.Lattice((0.0, 1.0), (1.0, 1.25), 0.25)}
+    case = pd.Case(
+        particles=pd.Bodies(dict(sorted(parts.items(), key=lambda part: part[0] != first))),
+        material=pd.BondBased(E=1.0),
+        conditions=[pd.Displacement("block", x=0.0, y=0.0), pd.Displacement("row", x=1.0, y=0.0)],
+        horizon=0.76,
+        fields=[pd.displacement],
+    )
+    run = pd.run(case, tmp_path)
+    assert run.sample([0.4, 0.5])[:, 0].tolist() == [0.0]
+    assert run.sample([0.4, 1.1])[:, 0] == pytest.approx([1.0], rel=1e-9)

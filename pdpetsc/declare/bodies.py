@@ -31,7 +31,7 @@ class Bodies(Particles):
     Raises
     ------
     CaseError
-        A name has spaces, or plane bodies differ in thickness.
+        A name has spaces, a body is itself ``Bodies``, or plane bodies differ in thickness.
 
     Examples
     --------
@@ -51,6 +51,8 @@ class Bodies(Particles):
         for name in self.parts:
             if not name or " " in name:
                 raise CaseError(f"The name of a body is one word, not {name!r}.")
+        if any(isinstance(one, Bodies) for one in self.parts.values()):
+            raise CaseError("A body of Bodies is itself Bodies, whose parts would share bonds; name all in one Bodies.")
         thickness = {one.thickness for one in self.parts.values()}
         if len(thickness) > 1:
             raise CaseError(f"Bodies have the thicknesses {sorted(thickness)}; give all of them the same.")

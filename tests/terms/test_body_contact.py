@@ -538,6 +538,8 @@ def test_what_bodies_cannot_do_is_refused(tmp_path):
         pd.Facets(solid.x, solid.area, solid.particle, corners=2.0 * np.asarray(solid.corners))
     with pytest.raises(pd.CaseError, match="one word"):
         pd.Bodies({"two words": lower})
+    with pytest.raises(pd.CaseError, match="whose parts would share bonds"):
+        pd.Bodies({"both": case.particles, "third": lower})
     thick = dataclasses.replace(upper, thickness=2.0)
     with pytest.raises(pd.CaseError, match="thicknesses"):
         pd.Bodies({"lower": lower, "upper": thick})

@@ -17,6 +17,7 @@ from point_damage import CURVES, damage_of_ratio
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood, combine
+from pdpetsc.damage.criterion import DamageableBonds
 from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
@@ -56,7 +57,8 @@ def share(model, law, criterion=pd.FractureEnergy, horizon=3.015, steps=301, dx=
     body, bonds, one = halves(horizon, dx)
     cloud, families = body.cloud, body.families
     k = combine(bonds, [pd.BondBased(E, calibration="lattice")], one, np.ones(cloud.n_owned)).k
-    damage = make_damage(LAWS[law](criterion(Gc=GC)), body, bonds.omega, k, scheme is not None)
+    damageable = DamageableBonds.of(cloud, families, bonds.omega, k, scheme is not None)
+    damage = make_damage(LAWS[law](criterion(Gc=GC)), body, damageable)
     if scheme is None:
         material_term = BondForces(body, bonds, [material], one)
         material_term.take_damage(damage)

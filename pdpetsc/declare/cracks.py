@@ -223,26 +223,31 @@ class PolygonCrack(Crack):
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return True for bonds that cross the polygon."""
         _same(a, 3, "PolygonCrack")
-        corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
-        if len(corners) < 3:
+        if len(self.points) < 3:
             raise CaseError("A PolygonCrack needs at least three points.")
+        corners, normal = self._plane()
         edges = np.roll(corners, -1, axis=0) - corners
-        normal = np.cross(edges[0], corners[2] - corners[0])
-        size = float(np.linalg.norm(normal))
+        longest = edges[np.argmax(np.linalg.norm(edges, axis=1))]
+        size, length = float(np.linalg.norm(normal)), float(np.linalg.norm(longest))
         flat = np.abs((corners - corners[0]) @ normal)
-        if size == 0.0 or flat.max() > 1e-6 * size * np.linalg.norm(edges, axis=1).max():
+        if size == 0.0 or flat.max() > 1e-6 * size * length:
             raise CaseError("The points of a PolygonCrack must lie in one plane, and not on one line.")
         crossing, close, where = _crossing(a, b, corners[0], normal)
-        one = edges[0] / np.linalg.norm(edges[0])
-        basis = np.array([one, np.cross(normal / size, one)])
+        basis = np.array([longest / length, np.cross(normal / size, longest / length)])
         flat_corners, flat_where = (corners - corners[0]) @ basis.T, (where - corners[0]) @ basis.T
         return np.asarray(crossing & _inside(flat_corners, flat_where, close))
 
     def normals(self, x: Float) -> Float:
         """Return the normal of the polygon."""
         _same(x, 3, "PolygonCrack")
+        return _repeated(self._plane()[1], x)
+
+    def _plane(self) -> tuple[Float, Float]:
+        """Return the corners (n, 3), and the normal of the largest triangle of the first and two successive ones."""
         corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
-        return _repeated(np.cross(corners[1] - corners[0], corners[2] - corners[0]), x)
+        arms = corners[1:] - corners[0]
+        normals = np.cross(arms[:-1], arms[1:])
+        return corners, normals[np.argmax(np.linalg.norm(normals, axis=1))]
 
 
 SHIPPED: dict[str, type[Crack]] = {kind.__name__: kind for kind in (Segment, Polyline, PlaneCrack, Disc, PolygonCrack)}

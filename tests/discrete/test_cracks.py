@@ -73,6 +73,15 @@ def test_bonds_along_a_crack_are_cut_however_the_body_is_turned(dim, rng):
         assert cut(turn, rng.uniform(-9.0, 9.0, dim)) == straight
 
 
+def test_points_on_the_sides_of_a_polygon_do_not_change_it():
+    """The first three points are on one line, and two are equal."""
+    x, corners = grid(5, 5, 4), [(-1.0, -1.0, 1.5), (2.5, -1.0, 1.5), (2.5, 3.5, 1.5), (-1.0, 3.5, 1.5)]
+    more = [corners[0], corners[0], (1.0, -1.0, 1.5), *corners[1:]]
+    plain, longer = pd.PolygonCrack(corners), pd.PolygonCrack(more)
+    assert cut_by(x, 1.5, [longer]) == cut_by(x, 1.5, [plain]) != set()
+    np.testing.assert_array_equal(longer.normals(x), plain.normals(x))
+
+
 def test_a_segment_cuts_what_crosses_it_and_no_more():
     x = grid(6, 4)
     cut = cut_by(x, 1.5, [pd.Segment((-1.0, 1.5), (2.5, 1.5))])

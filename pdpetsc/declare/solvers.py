@@ -272,14 +272,14 @@ class PathFollowing(DeclaredSolver):
     """Newton's method along the path of equilibria, with the load as an unknown; follows snap-back.
 
     All conditions are multiplied by one load factor, which increases or decreases while the ``measure`` grows. It is
-    ``t`` in history and log. The steps of the case are not used.
+    ``t`` in history and log. Rigid tools move with it. The steps of the case are not used.
 
     Parameters
     ----------
     measure : BondStretch, Opening, Dissipation or ArcLength
         The quantity that grows in every step.
     first : float
-        Growth of the load factor in the first step [-], in which no bond is stretched yet.
+        Growth of the load factor in the first step [-], in which no bond is stretched yet, and until tools touch.
     smallest : float
         Smallest step of the measure over the largest one [-]; if it fails, the run ends with exit status 1.
     until : float

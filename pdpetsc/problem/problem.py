@@ -193,6 +193,22 @@ class Problem:
         terms = zip(self._with_tools, forces, later, strict=True)
         return sum(term.tool_work(one + other, before, after) for term, one, other in terms)
 
+    def force_of_tools(self, state: State) -> Float:
+        """Return the forces of tools with a prescribed motion (n_rows, dim) [force]."""
+        return self.force_of([term for term in self.terms if term.tool_way is not None], state)
+
+    def force_by_tools(self, state: State) -> Float:
+        """Compute the derivative of the forces by the load factor, with which tools move (n_rows, dim) [force].
+
+        A tool that moves acts as one at rest if the body moves in the opposite direction.
+        """
+        found = np.zeros_like(state.u)
+        for term in self.terms:
+            if term.tool_way is not None:
+                way = np.broadcast_to(term.tool_way, found.shape)
+                found -= Tangent(self.body, term.linearise(state))(way)
+        return found
+
     @property
     def _with_tools(self) -> list[Term]:
         """Return the terms that may have a moving tool (not collective)."""

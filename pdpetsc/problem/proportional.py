@@ -10,6 +10,7 @@ from pdpetsc.arrays import Float, irregular
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.scales import mean_spacing
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
@@ -18,6 +19,8 @@ from pdpetsc.problem.term import Term
 PROBES = (0.0, 0.3, 0.7)
 BEYOND = (-0.4, 1.6)
 PROPORTIONAL = 1e-12
+# Overlap of a tool at the start, over the spacing, that is round-off.
+TOUCH = 1e-9
 
 
 def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
@@ -56,12 +59,23 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
             )
     for term in problem.terms:
         if term is not problem.material_term:
-            _refuse_term(problem, term, who, times)
+            if beyond and term.tool_way is not None:
+                _refuse_tool(problem, term, who, times)
+            _refuse_term(problem, term, who, (0.0,) if beyond and term.tool_way is not None else (1.0, *times))
+
+
+def _refuse_tool(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
+    whole = term.tool_displacements(1.0)
+    if any(_differ(problem, term.tool_displacements(t), t * whole, whole) for t in times):
+        raise CaseError(
+            f"{who} needs tools that move in proportion to the step time and do not turn; take the schedule Ramp, or "
+            f"load steps with Newton."
+        )
 
 
 def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
     zero, name = np.zeros(problem.supports.fixed.shape), type(term).__name__
-    states = [State(problem.body, zero, problem.clock(t)) for t in (1.0, *times)]
+    states = [State(problem.body, zero, problem.clock(t)) for t in times]
     found = [term.linearise(state) for state in states]
     if term.load:
         if any(found):
@@ -76,7 +90,10 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
     products = [Tangent(problem.body, parts)(v).copy() for parts in found]
     forces = [problem.force_of([term], state) for state in states]
     offset = max(largest(problem.body.cloud.comm, np.abs(force), initial=0.0) for force in forces)
-    if offset > 0.0 or any(_differ(problem, product, products[0], products[0]) for product in products[1:]):
+    size = largest(problem.body.cloud.comm, np.abs(products[0]), initial=0.0)
+    if offset > TOUCH * mean_spacing(problem.body) * size or any(
+        _differ(problem, product, products[0], products[0]) for product in products[1:]
+    ):
         raise CaseError(
             f"{who} needs forces that depend on the displacement alone and vanish with it, besides loads that are "
             f"proportional to the step time; those of {name} do not, so take load steps with Newton."

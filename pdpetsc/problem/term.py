@@ -92,6 +92,8 @@ class Term(ABC):
         updates history variables.
     rigid : RigidBody or None
         Rigid body that the term holds, if its motion follows from a load.
+    tool_way : (dim,) float64 or None
+        Prescribed displacement of a moving tool at load parameter 1 [length]; None without one.
     joined : (n, 2) int32
         Pairs of local particles that the term holds together in every direction.
 
@@ -113,6 +115,7 @@ class Term(ABC):
     pattern: int = 0
     version: int = 0
     rigid: RigidBody | None = None
+    tool_way: Float | None = None
     joined: LocalIndex = np.empty((0, 2), dtype=np.int32)
 
     def __init_subclass__(cls, **more: object) -> None:

@@ -58,8 +58,8 @@ class EnergyBalance:
         estimated = problem.softens and problem.material_term.dissipated_energy() is None
         self._share = SHARE_WITHOUT_POTENTIAL if estimated else SHARE
         self._bends = self.judges and (problem.softens or not problem.piecewise_linear)
-        self._u, self._force = start.u, self._acting(start)
-        self._kept = self._u, self._force
+        self._at, self._force, self._tools = start, self._acting(start), problem.tool_forces(start)
+        self._kept = self._at, self._force, self._tools
         self._energy = self._found = self._held(start)
         self._largest = max(resume.get(LARGEST, 0.0), self._energy[0])
         self._fallen = self._falls = resume.get(FALLEN, 0.0)
@@ -72,13 +72,14 @@ class EnergyBalance:
 
     def pass_by(self, state: State) -> None:
         """Add the work from the last equilibrium to this one, with its current damage."""
-        u, force = state.u, self._acting(state)
-        moved = u - self._u
+        problem, force, tools = self._problem, self._acting(state), self._problem.tool_forces(state)
+        moved = state.u - self._at.u
         mean, change = 0.5 * (force + self._force), 0.5 * (force - self._force)
-        sums = total(self._problem.body.cloud.comm, [(mean * moved).sum(), (change * moved).sum()])
+        by_tools = problem.tool_work(self._at, state, self._tools, tools)
+        sums = total(problem.body.cloud.comm, [(mean * moved).sum() + by_tools, (change * moved).sum()])
         self.work += float(sums[0])
         self._error += abs(float(sums[1])) if self._bends else 0.0
-        self._u, self._force = u, force
+        self._at, self._force, self._tools = state, force, tools
 
     def broken_by(self, state: State) -> str:
         """Return the reason for refusing a step that ends at the last passed state; empty if its energy balances."""
@@ -105,14 +106,14 @@ class EnergyBalance:
     def keep(self) -> None:
         """Begin the next step at the end of the last one (not collective)."""
         self.work, self._error = 0.0, 0.0
-        self._kept, self._energy = (self._u, self._force), self._found
+        self._kept, self._energy = (self._at, self._force, self._tools), self._found
         self._largest = max(self._largest, self._energy[0])
         self._fallen = self._falls
 
     def go_back(self) -> None:
         """Restart the step (not collective)."""
         self.work, self._error = 0.0, 0.0
-        self._u, self._force = self._kept
+        self._at, self._force, self._tools = self._kept
 
     def _acting(self, state: State) -> Float:
         """Compute the forces of loads and supports (n_rows, dim) [force]."""

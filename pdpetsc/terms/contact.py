@@ -62,6 +62,7 @@ class ContactForces(FacetContact):
         self._moving = RigidBody(declared.tool, body.cloud.comm, body.dim, self._owner, title)
         self.rigid = self._moving if declared.tool.loaded else None
         self.works = self._mu > 0.0 or not declared.tool.rests
+        self.tool_way = None if declared.tool.rests or declared.tool.loaded else self._moving.driven
         self._x, self._at = facets.x, Points.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)

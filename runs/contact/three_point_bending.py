@@ -16,7 +16,9 @@ gradient points fail (``pd.PointDamage``) by a softening ``curve`` of strength 1
 correspondence and ``Silling(G)``, on a lattice beside a mirror plane. The upper roller moves down by ``load`` in
 ``steps`` load steps that grow. Results: ``peak_load``, ``final_over_peak``, ``dissipated_over_Gc``, of the points that
 fail, and ``work_over_Gc``, of the upper roller by the trapezoidal rule, both over the fracture energy of the ligament;
-``balance``, the latter over stored and dissipated energy; ``support_over_force`` at the peak.
+``balance``, the latter over stored and dissipated energy; ``support_over_force`` at the peak. With an ``opening`` of
+half of the mouth of the notch the upper roller follows the path on which the mouth opens, by at most
+``opening / steps`` a step.
 """
 
 import sys
@@ -59,10 +61,11 @@ def held(supports, friction, load, dx, nearer=0.0):
 
 
 def case(
-    n=16, friction=0.0, load=0.02, supports="rollers", damage="none", curve="bilinear", G=0.5, horizon=2.015, steps=40
+    n=16, friction=0.0, load=0.02, supports="rollers", damage="none", curve="bilinear", G=0.5, horizon=2.015, steps=40,
+    opening=0.0,
 ):  # fmt: skip
     if pd.choose("damage", damage, {"none": False, "point": True}):
-        return of_points(n, friction, load, supports, curve, G, horizon, steps)
+        return of_points(n, friction, load, supports, curve, G, horizon, steps, opening)
     dx = DEPTH / n
     conditions, reactions = held(supports, friction, load, dx)
 
@@ -94,13 +97,15 @@ def case(
     )
 
 
-def of_points(n, friction, load, supports, curve, G, horizon, steps):
+def of_points(n, friction, load, supports, curve, G, horizon, steps, opening):
     """Return the notched beam whose gradient points fail."""
     dx = DEPTH / n
     # The middles of facets touch, half a spacing beside the rollers.
     conditions, reactions = held(supports, friction, load, dx, RADIUS - np.sqrt(RADIUS**2 - 0.25 * dx**2))
     shape = pd.choose("curve", curve, point_damage.CURVES)
     away = pd.region.Slab("x", low=0.5 * DEPTH)
+    mouth = pd.region.Nearest((0.5 * dx, 0.5 * dx))
+    path = pd.PathFollowing(pd.Opening("x", mouth, step=opening / steps, end=opening), until=0.02) if opening else None
 
     def results(h):
         force = -2.0 * np.array(h["above_y"])
@@ -127,6 +132,7 @@ def of_points(n, friction, load, supports, curve, G, horizon, steps):
         cracks=[pd.Segment((0.0, 0.0), (0.0, NOTCH))],
         conditions=conditions,
         steps=pd.Steps(times=[(k / steps) ** 2 for k in range(1, steps + 1)]),
+        solver=path or pd.Newton(),
         history={
             **reactions,
             "stored": pd.StrainEnergy(),

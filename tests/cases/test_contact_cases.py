@@ -148,6 +148,18 @@ def test_a_notched_beam_on_rollers_breaks_as_on_point_supports(tmp_path):
         assert beam["final_over_peak"] < 0.08
 
 
+def test_rollers_bend_a_notched_beam_along_a_path(tmp_path):
+    """The mouth of the notch opens step by step; load steps have the same peak."""
+    path, steps = (
+        found("three_point_bending", "damage=point", "n=4", word, output=tmp_path / word)
+        for word in ("opening=0.003", "steps=40")
+    )
+    assert path["peak_load"] == pytest.approx(steps["peak_load"], rel=0.02)
+    assert path["balance"] == pytest.approx(1.0, abs=0.01)
+    assert path["support_over_force"] == pytest.approx(1.0, abs=1e-3)
+    assert path["final_over_peak"] < 0.5
+
+
 @pytest.mark.long
 def test_the_pressure_of_a_flat_punch_tends_to_the_one_of_prandtl(tmp_path):
     coarse, fine = (

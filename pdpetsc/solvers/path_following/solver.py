@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import PathFollowing
-from pdpetsc.discrete.communicator import scalar_product
+from pdpetsc.discrete.communicator import norm, scalar_product
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, with_tolerance
 from pdpetsc.problem.assembly import Filler
@@ -184,19 +184,20 @@ class PathSolver(SnesSolver):
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
-            largest_force, self._carried = max(largest_force, result.reference), result.reference
+            self._carried = max(result.reference, norm(self._comm, self.problem.force_of_tools(self.state(u))))
+            largest_force = max(largest_force, self._carried)
             self._highest_load = max(self._highest_load, abs(load))
             if result.easy:
                 step = min(step * GROWTH, options.measure.step)
             work = balance.work
             balance.keep()
-            now = zip(RESUMED, (step, largest_force, self._highest_load, result.reference), strict=True)
+            now = zip(RESUMED, (step, largest_force, self._highest_load, self._carried), strict=True)
             resume = {**dict(now), **balance.resume}
             yield Converged(u, load, result, failures, resume, work=work)
             failures = []
-            fallen = result.reference <= options.until * largest_force
+            fallen = self._carried <= options.until * largest_force and largest_force > 0.0
             if fallen or self._measure.at_end(u, load):
-                left = f"{result.reference / largest_force if largest_force > 0.0 else 0.0:.2g} of their largest"
+                left = f"{self._carried / largest_force if largest_force > 0.0 else 0.0:.2g} of their largest"
                 why = f"the forces fell to {left} (until={options.until:g})"
                 why = why if fallen else f"its measure reached its end; the forces are {left}"
                 self.ended = f"the path ended because {why}"
@@ -366,6 +367,9 @@ class PathSolver(SnesSolver):
         """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
         self._bordered.forget()
         self._constraint = self._measure.constraint(u, self.load)
+        if not self._carried and any(term.tool_way is not None for term in self.problem.terms):
+            # Only the load factor brings tools into touch.
+            self._constraint = Constraint(np.zeros_like(u), True, u, self.load)
         if self._constraint.by_load:
             return self._options.first * step / self._options.measure.step
         return min(step, self._measure.left(u, self.load))
@@ -381,7 +385,7 @@ class PathSolver(SnesSolver):
         else:
             # The bordered system has no solution, so that its residual is no number, and the solve fails.
             load = np.nan
-            sought.impose(load, *(load * one for one in self._whole))
+            sought.impose(self.load, *(load * one for one in self._whole))
         at, resisted = self._begun
         sought.resisted = (load - at) * resisted
         return values * self._scales.length, load
@@ -442,7 +446,9 @@ class PathSolver(SnesSolver):
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
         state = sought.state(self._read(x))
         sought.update(state)
-        bodies = self._bodies.coupled(state, self._bodies.spins, self._whole[1])
+        # Loads less the forces of moving tools, by the load factor.
+        loads = self._whole[1] - self.problem.force_by_tools(state)
+        bodies = self._bodies.coupled(state, self._bodies.spins, loads)
         # Load factor, then motions: displacements if independent unknowns do not move, and the change of the loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]
         whole = np.concatenate([self._whole[0][None], bodies.carried])

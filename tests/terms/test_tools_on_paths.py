@@ -1,0 +1,94 @@
+"""Tools that move with the load factor of a path: derivatives, load steps, ranks, restart, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.errors import CaseError
+from tests.commands import results
+
+TEXT = """
+import pdpetsc as pd
+
+def case(friction=0.3, end=0.015, step=0.003, load=0.05):
+    tip, foot = pd.region.Nearest((2.0, 1.0)), pd.region.Nearest((1.0, 0.0))
+    tool = pd.RigidSphere((1.0, 1.5), 0.5, move=(0.0, -load))
+    return pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125),
+        material=pd.Hencky(E=1e3, nu=0.3, plane="stress"),
+        conditions=[pd.Clamp("-x"), pd.Contact("+y", tool, friction, penetration=0.05, name="tool")],
+        solver=pd.PathFollowing(pd.Opening("y", foot, against=tip, step=step, end=end), first=0.02, until=0.0),
+        history={"tip": pd.Mean(pd.displacement, "y", tip), "work": pd.ExternalWork(), "energy": pd.StrainEnergy()},
+        results=lambda h: {name: h[name][-1] for name in ("t", "tool_x", "tool_y", "tip", "work")},
+    )
+"""
+
+
+def case(**values):
+    names = {}
+    exec(TEXT, names)
+    return names["case"](**values)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_path_has_the_equilibria_of_load_steps(friction, tmp_path):
+    """Newton's method converges quadratically, as it does only with the derivative by the load factor."""
+    of_path = case(friction=friction)
+    path = pd.run(of_path, tmp_path / "path")
+    times = [float(t) for t in path.history["t"][1:]]
+    assert len(times) > 5 and times[-1] > 0.3
+    assert path.history["tip"][-1] < -0.015
+    steps = dataclasses.replace(of_path, solver=pd.Newton(), steps=pd.Steps(times=[*times, 1.0]))
+    loaded = pd.run(steps, tmp_path / "steps").history
+    for name in ("tool_x", "tool_y", "tip", "work", "energy"):
+        of_steps = loaded[name][: len(times) + 1]
+        np.testing.assert_allclose(path.history[name], of_steps, rtol=1e-8, atol=1e-10 * abs(of_steps[-1]))
+    if not friction:
+        assert path.history["work"][-1] == pytest.approx(path.history["energy"][-1], rel=0.1)
+    assert max(step["newton_iterations"] for step in path.summary["steps"][1:]) <= 3
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_derivative_by_the_load_factor_is_that_of_the_forces(friction):
+    problem = pd.prepare(case(friction=friction)).problem
+    u = np.zeros(problem.supports.fixed.shape)
+    h = 1e-6
+
+    def force(t):
+        return problem.force_of_tools(problem.state(u, t)).copy()
+
+    exact = problem.force_by_tools(problem.state(u, 0.4))
+    difference = (force(0.4 + h) - force(0.4 - h)) / (2.0 * h)
+    assert np.abs(exact).max() > 1.0
+    np.testing.assert_allclose(difference, exact, atol=1e-6 * np.abs(exact).max())
+
+
+def test_ranks_matrices_and_restarts_agree(tmp_path):
+    file = tmp_path / "pressed.py"
+    file.write_text(TEXT)
+    one = results(file, ranks=1, output=tmp_path / "one")["results"]
+    for name, words, ranks in (("two", [], 2), ("free", ["-pd_jacobian", "matfree"], 1)):
+        other = results(file, *words, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=1e-6), name
+    results(file, "end=0.009", ranks=1, output=tmp_path / "half")
+    again = results(file, "--restart", tmp_path / "half", ranks=1, output=tmp_path / "again")["results"]
+    assert again == pytest.approx(one, rel=1e-4)
+    assert again["tool_y"] == pytest.approx(one["tool_y"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"turn": 0.1, "about": (1.0, 1.5)}, {"schedule": pd.Table([0.0, 0.5, 1.0], [0.0, 0.1, 1.0])}],
+    ids=["turn", "table"],
+)
+def test_tools_that_do_not_move_in_proportion_are_refused(changes, tmp_path):
+    scene = case()
+    clamp, contact = scene.conditions
+    tool = dataclasses.replace(contact.tool, **changes)
+    scene = dataclasses.replace(scene, conditions=[clamp, dataclasses.replace(contact, tool=tool)])
+    with pytest.raises(CaseError, match="tools that move in proportion"):
+        pd.run(scene, tmp_path)

@@ -200,14 +200,16 @@ class Problem:
     def force_by_tools(self, state: State) -> Float:
         """Compute the derivative of the forces by the load factor, with which tools move (n_rows, dim) [force].
 
-        A tool that moves acts as one at rest if the body moves in the opposite direction.
+        A tool that moves acts as one at rest if the body, with all images, moves in the opposite direction.
         """
-        found = np.zeros_like(state.u)
-        for term in self.terms:
-            if term.tool_way is not None:
-                way = np.broadcast_to(term.tool_way, found.shape)
-                found -= Tangent(self.body, term.linearise(state))(way)
-        return found
+        tools, cloud = [term for term in self.terms if term.tool_way is not None], self.body.cloud
+        if not tools:
+            return np.zeros_like(state.u)
+        f, own = np.zeros((cloud.n_local, self.dim)), np.arange(cloud.n_owned, dtype=np.int32)
+        for term in tools:
+            way = np.tile(-np.asarray(term.tool_way), (cloud.n_local, 1))
+            Tangent(self.body, term.linearise(state)).forces(way, f, own)
+        return self.body.gather(f)
 
     @property
     def _with_tools(self) -> list[Term]:

@@ -52,9 +52,35 @@ def test_a_path_has_the_equilibria_of_load_steps(friction, tmp_path):
     assert max(step["newton_iterations"] for step in path.summary["steps"][1:]) <= 3
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_the_derivative_by_the_load_factor_is_that_of_the_forces(friction):
-    problem = pd.prepare(case(friction=friction)).problem
+def beside_a_mirror():
+    """Return a block whose tool moves towards its mirror plane."""
+    tool = pd.RigidSphere((0.0, 1.5), 0.5, move=(-0.1, -0.1))
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125),
+        material=pd.LinearElastic(E=1e3, nu=0.3),
+        symmetry=[pd.Symmetry("x")],
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, penetration=0.5, name="tool")],
+    )
+
+
+def in_a_cell():
+    """Return a block in a cell, over which a plane is dragged."""
+    tool = pd.RigidPlane((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), move=(0.5, -0.02, 0.1))
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0, 0.0), (4.0, 1.0, 4.0), 0.5),
+        material=pd.LinearElastic(E=1e3, nu=0.3),
+        cell=pd.Cell((0.0, 0.0, 0.0), (4.0, 1.0, 4.0), "xz"),
+        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, 0.3, penetration=0.5, name="tool")],
+    )
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: case(friction=0.0), lambda: case(friction=0.3), beside_a_mirror, in_a_cell],
+    ids=["smooth", "friction", "mirror", "cell"],
+)
+def test_the_derivative_by_the_load_factor_is_that_of_the_forces(make):
+    problem = pd.prepare(make()).problem
     u = np.zeros(problem.supports.fixed.shape)
     h = 1e-6
 

@@ -93,6 +93,17 @@ def test_the_derivative_by_the_load_factor_is_that_of_the_forces(make):
     np.testing.assert_allclose(difference, exact, atol=1e-6 * np.abs(exact).max())
 
 
+def test_round_off_of_a_tool_at_rest_does_not_keep_another_from_touching(tmp_path):
+    """The beam lies on a table, which it overlaps by round-off, before the moving tool touches it."""
+    scene = case(friction=0.0, end=0.006)
+    clamp, contact = scene.conditions
+    far = dataclasses.replace(contact, tool=pd.RigidSphere((1.0, 1.503), 0.5, move=(0.0, -0.05)))
+    table = pd.Contact("-y", pd.RigidBox((-0.2, -0.3), (0.4, 5e-12)), penetration=0.05, name="table")
+    run = pd.run(dataclasses.replace(scene, conditions=[clamp, far, table]), tmp_path)
+    assert run.history["tool_y"][1] == 0.0
+    assert run.history["tool_y"][-1] < -0.5
+
+
 def test_ranks_matrices_and_restarts_agree(tmp_path):
     file = tmp_path / "pressed.py"
     file.write_text(TEXT)

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import PathFollowing
-from pdpetsc.discrete.communicator import norm, scalar_product
+from pdpetsc.discrete.communicator import anywhere, norm, scalar_product
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, with_tolerance
 from pdpetsc.problem.assembly import Filler
@@ -94,6 +94,9 @@ class PathSolver(SnesSolver):
         # Loads on them at load factor 1 [force].
         self._on_bodies = self._bodies.loads
         self._measure = MEASURES[type(options.measure)](problem, options.measure)
+        # Whether tools move with the load factor, and whether it acts on anything else.
+        self._has_tools = any(term.tool_way is not None for term in problem.terms)
+        self._acts = anywhere(self._comm, self._whole) or bool(self._on_bodies.any())
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
         self._highest_load = 0.0
@@ -367,12 +370,16 @@ class PathSolver(SnesSolver):
         """Set up the constraint of the next step from the converged ``u``; return the growth of the measure."""
         self._bordered.forget()
         self._constraint = self._measure.constraint(u, self.load)
-        if not self._carried and any(term.tool_way is not None for term in self.problem.terms):
+        if self._has_tools and not (self._acts and self._carried) and not self._pressed(u):
             # Only the load factor brings tools into touch.
             self._constraint = Constraint(np.zeros_like(u), True, u, self.load)
         if self._constraint.by_load:
             return self._options.first * step / self._options.measure.step
         return min(step, self._measure.left(u, self.load))
+
+    def _pressed(self, u: Float) -> bool:
+        """Return True if a tool that moves presses the body."""
+        return anywhere(self._comm, self.problem.force_of_tools(self.problem.state(u, self.load)))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
         """Return unknowns and load factor of a vector, and set motions and conditions to it."""

@@ -76,7 +76,8 @@ class EnergyBalance:
         moved = state.u - self._at.u
         mean, change = 0.5 * (force + self._force), 0.5 * (force - self._force)
         by_tools = problem.tool_work(self._at, state, self._tools, tools)
-        sums = total(problem.body.cloud.comm, [(mean * moved).sum() + by_tools, (change * moved).sum()])
+        off_by_tools = problem.tool_work(self._at, state, [-force for force in self._tools], tools)
+        sums = total(problem.body.cloud.comm, [(mean * moved).sum() + by_tools, (change * moved).sum() + off_by_tools])
         self.work += float(sums[0])
         self._error += abs(float(sums[1])) if self._bends else 0.0
         self._at, self._force, self._tools = state, force, tools

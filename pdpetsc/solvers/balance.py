@@ -58,7 +58,7 @@ class EnergyBalance:
         estimated = problem.softens and problem.material_term.dissipated_energy() is None
         self._share = SHARE_WITHOUT_POTENTIAL if estimated else SHARE
         self._bends = self.judges and (problem.softens or not problem.piecewise_linear)
-        self._at, self._force, self._tools = start, self._acting(start), problem.tool_forces(start)
+        self._at, self._force, self._tools = _bare(start), self._acting(start), problem.tool_forces(start)
         self._kept = self._at, self._force, self._tools
         self._energy = self._found = self._held(start)
         self._largest = max(resume.get(LARGEST, 0.0), self._energy[0])
@@ -80,7 +80,7 @@ class EnergyBalance:
         sums = total(problem.body.cloud.comm, [(mean * moved).sum() + by_tools, (change * moved).sum() + off_by_tools])
         self.work += float(sums[0])
         self._error += abs(float(sums[1])) if self._bends else 0.0
-        self._at, self._force, self._tools = state, force, tools
+        self._at, self._force, self._tools = _bare(state), force, tools
 
     def broken_by(self, state: State) -> str:
         """Return the reason for refusing a step that ends at the last passed state; empty if its energy balances."""
@@ -126,3 +126,8 @@ class EnergyBalance:
         """Return the stored energy of the body, and the energy dissipated by the damage laws [energy]."""
         by_laws = self._problem.material_term.dissipated_energy()
         return sum(self._problem.energies(state).values()), 0.0 if by_laws is None else by_laws
+
+
+def _bare(state: State) -> State:
+    """Return a state without its cached quantities, which need many times the memory of the unknowns."""
+    return State(state.body, state.u, state.clock)

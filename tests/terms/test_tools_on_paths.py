@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import weakref
 
 import numpy as np
 import pytest
@@ -122,6 +123,11 @@ def test_the_energy_balance_allows_for_tools_whose_force_is_not_linear(tmp_path)
     balance.pass_by(undeformed)
     assert -balance.work > 1.1 * sum(solution.energies.values())
     assert not balance.broken_by(undeformed)
+    # What the state has cached is freed.
+    cached = weakref.ref(undeformed)
+    del undeformed
+    problem.state(u, 1.0)
+    assert cached() is None
 
 
 def test_ranks_matrices_and_restarts_agree(tmp_path):

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import norm, total
 from pdpetsc.gradient.near_inverse import Triplets
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.sparse import assembled
@@ -106,8 +106,7 @@ class ScalarMatrix:
 
     def round_off(self, values: Float) -> float:
         """Compute the norm of the round-off of ``A v`` in a residual (collective)."""
-        squares = total(self._cloud.comm, float(((self._diagonal * values) ** 2).sum()))
-        return FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares))
+        return FLOOR * float(np.finfo(float).eps) * norm(self._cloud.comm, self._diagonal * values)
 
     def product(self, values: Float) -> Float:
         """Compute ``A v`` (n_owned,), including the rows of prescribed values."""

@@ -193,20 +193,23 @@ class Problem:
         terms = zip(self._with_tools, forces, later, strict=True)
         return sum(term.tool_work(one + other, before, after) for term, one, other in terms)
 
+    @property
+    def driven_tools(self) -> list[Term]:
+        """Return the terms with a tool of prescribed motion (not collective)."""
+        return [term for term in self.terms if term.tool_way is not None]
+
     def force_of_tools(self, state: State) -> Float:
         """Return the forces of tools with a prescribed motion (n_rows, dim) [force]."""
-        return self.force_of([term for term in self.terms if term.tool_way is not None], state)
+        return self.force_of(self.driven_tools, state)
 
     def force_by_tools(self, state: State) -> Float:
         """Compute the derivative of the forces by the load factor, with which tools move (n_rows, dim) [force].
 
         A tool that moves acts as one at rest if the body, with all images, moves in the opposite direction.
         """
-        tools, cloud = [term for term in self.terms if term.tool_way is not None], self.body.cloud
-        if not tools:
-            return np.zeros_like(state.u)
+        cloud = self.body.cloud
         f, own = np.zeros((cloud.n_local, self.dim)), np.arange(cloud.n_owned, dtype=np.int32)
-        for term in tools:
+        for term in self.driven_tools:
             way = np.tile(-np.asarray(term.tool_way), (cloud.n_local, 1))
             Tangent(self.body, term.linearise(state)).forces(way, f, own)
         return self.body.gather(f)

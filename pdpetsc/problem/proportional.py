@@ -59,9 +59,10 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
             )
     for term in problem.terms:
         if term is not problem.material_term:
-            if beyond and term.tool_way is not None:
+            driven = beyond and term.tool_way is not None
+            if driven:
                 _refuse_tool(problem, term, who, times)
-            _refuse_term(problem, term, who, (0.0,) if beyond and term.tool_way is not None else (1.0, *times))
+            _refuse_term(problem, term, who, (0.0,) if driven else (1.0, *times))
 
 
 def _refuse_tool(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Complex, Float
 from pdpetsc.case import Case, ungraded
 from pdpetsc.declare.modes import FrequencyResponse, Modes
 from pdpetsc.declare.solvers import Newton
-from pdpetsc.discrete.communicator import agreed, count_nonzero, is_root, largest, total
+from pdpetsc.discrete.communicator import agreed, count_nonzero, is_root, largest, scalar_product, total
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.observer import Observed, Observer, StepRecords
 from pdpetsc.output.progress import Report
@@ -242,7 +242,7 @@ def response(
         direction[:n] = shape
         own = 2.0 * np.pi * frequency
         ratio = declared.ratio + 0.5 * declared.mass / own + 0.5 * declared.stiffness * own
-        driven = float(total(comm, float((shape * loads[:n]).sum())))
+        driven = scalar_product(comm, shape, loads[:n])
         share = driven * (1.0 / (own**2 - w**2 + 2.0j * ratio * own * w) - 1.0 / own**2)
         found += share[:, None] * along(direction)
     return dict(zip(quantities, found.T, strict=True))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.cracks import crack_of
+from pdpetsc.declare.cracks import Crack, crack_of
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declared import ByName, near_or_all
 from pdpetsc.errors import CaseError, RunError
@@ -189,9 +189,11 @@ class Result(Mapping[str, float]):
         # One body among others may be a line.
         rows = rows_of_points(points, x)
         found: Float | None = None
+        cracks, broken, horizon = self._connection(x, step)
         # A body of one particle among others has no value at other points.
         for particles, inside in [one for one in self._bodies if len(one[0]) > 1] or self._bodies:
-            held = self._held(x[:, : len(inside.sides)], step, particles)
+            own = np.searchsorted(particles, broken[np.isin(broken, particles).all(axis=1)])
+            held = Held(x[particles, : len(inside.sides)], cracks, own, horizon)
             of_body = sampled(x[particles], values[particles], rows, inside, held)
             found = of_body if found is None else np.where(np.isnan(found), of_body, found)
         assert found is not None
@@ -210,8 +212,8 @@ class Result(Mapping[str, float]):
             found.append((particles, inside_of(x[particles, :dim], volume[particles], depth, surface)))
         return found
 
-    def _held(self, x: Float, step: int | None, particles: GlobalIndex) -> Held:
-        """Return the connection of some of the particles (n, dim) at a step."""
+    def _connection(self, x: Float, step: int | None) -> tuple[list[Crack], GlobalIndex, float]:
+        """Return the cracks, the pairs of particles (n, 2) with a broken bond at a step, and the horizon [length]."""
         records = self.summary.get("cuts")
         if records is None:
             # Earlier versions stored only crack lines of plane bodies.
@@ -226,10 +228,9 @@ class Result(Mapping[str, float]):
             )
         stored = self.fields
         broken = broken_pairs(self.folder, stored.steps[-1] if step is None else step, x)
-        broken = np.searchsorted(particles, broken[np.isin(broken, particles).all(axis=1)])
         horizon = self.summary.get("horizon")
         known = [crack for _, crack in cracks if crack is not None]
-        return Held(x[particles], known, broken, float(horizon) if horizon else np.inf)
+        return known, broken, float(horizon) if horizon else np.inf
 
     def frame(self) -> Any:
         """Return the history as a pandas data frame, one row per step.

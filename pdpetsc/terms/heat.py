@@ -22,9 +22,10 @@ from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.expansion import PrescribedTemperature, TemperatureField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
+from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.conditions import Applied
 from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
-from pdpetsc.terms.facet_contact import STIFFNESS
+from pdpetsc.terms.facet_contact import STIFFNESS, Points
 from pdpetsc.terms.tied import TIED, TiedForces
 
 # A family with less than this share of its largest second moment in a direction has no slope there.
@@ -319,10 +320,8 @@ class Heat(Term):
         K = scipy.sparse.csr_matrix((n, n))
         for condition, mask in self._entering:
             if isinstance(condition, Convection):
-                surface = self.body.known_surface
-                h = np.where(mask, condition.coefficient * np.linalg.norm(surface.area, axis=1), 0.0)
-                N = scipy.sparse.csr_matrix((surface.N, surface.members, surface.ptr), shape=(len(surface.x), n))
-                K = K + scipy.sparse.csr_matrix(N.T @ scipy.sparse.diags(h) @ N)
+                facets = Points.on(ChosenFacets(self.body.known_surface, mask))
+                K = K + facets.resistance(condition.coefficient, n)
         return K
 
     def _through(self, ties: Sequence[TiedForces]) -> scipy.sparse.csr_matrix:

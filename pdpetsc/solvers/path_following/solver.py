@@ -95,7 +95,7 @@ class PathSolver(SnesSolver):
         self._on_bodies = self._bodies.loads
         self._measure = MEASURES[type(options.measure)](problem, options.measure)
         # Whether tools move with the load factor, and whether it acts on anything else.
-        self._has_tools = any(term.tool_way is not None for term in problem.terms)
+        self._has_tools = bool(problem.driven_tools)
         self._acts = anywhere(self._comm, self._whole) or bool(self._on_bodies.any())
         # Forces of the last converged step, and the scale of the constraint relative to forces.
         self._carried, self._force = 0.0, 1.0
@@ -187,7 +187,9 @@ class PathSolver(SnesSolver):
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
-            self._carried = max(result.reference, norm(self._comm, self.problem.force_of_tools(self.state(u))))
+            self._carried = result.reference
+            if self._has_tools:
+                self._carried = max(self._carried, norm(self._comm, self.problem.force_of_tools(self.state(u))))
             largest_force = max(largest_force, self._carried)
             self._highest_load = max(self._highest_load, abs(load))
             if result.easy:
@@ -454,7 +456,7 @@ class PathSolver(SnesSolver):
         state = sought.state(self._read(x))
         sought.update(state)
         # Loads less the forces of moving tools, by the load factor.
-        loads = self._whole[1] - self.problem.force_by_tools(state)
+        loads = self._whole[1] - self.problem.force_by_tools(state) if self._has_tools else self._whole[1]
         bodies = self._bodies.coupled(state, self._bodies.spins, loads)
         # Load factor, then motions: displacements if independent unknowns do not move, and the change of the loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]

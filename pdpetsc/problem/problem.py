@@ -199,8 +199,8 @@ class Problem:
         return [term for term in self.terms if term.tool_way is not None]
 
     def force_of_tools(self, state: State) -> Float:
-        """Return the forces of tools with a prescribed motion (n_rows, dim) [force]."""
-        return self.force_of(self.driven_tools, state)
+        """Return the forces of rigid tools (n_rows, dim) [force]."""
+        return self.force_of(self._with_tools, state)
 
     def force_by_tools(self, state: State) -> Float:
         """Compute the derivative of the forces by the load factor, with which tools move (n_rows, dim) [force].
@@ -216,7 +216,7 @@ class Problem:
 
     @property
     def _with_tools(self) -> list[Term]:
-        """Return the terms that may have a moving tool (not collective)."""
+        """Return the terms of rigid tools (not collective)."""
         return [term for term in self.terms if type(term).tool_work is not Term.tool_work]
 
     @property

@@ -80,8 +80,8 @@ class Equilibrium:
     resisted : (n_rows, dim) float64
         Forces of the tangent at the start against the change of the prescribed unknowns, with all others held [force].
     reference : float
-        Larger norm of external forces and of reactions at the last check, at most the sum of the forces in the step
-        [force].
+        Largest norm of external forces, reactions and forces of rigid tools at the last check, at most the sum of the
+        forces in the step [force].
     tolerance : float
         Tolerance of the residual norm at the last check [force].
     accepted, objection : str
@@ -113,7 +113,7 @@ class Equilibrium:
         self.t = 0.0
         # Each is replaced, not changed.
         self.prescribed = self.external = self.resisted = np.zeros(fixed.shape)
-        self._reaction = self._start = self._loads_at_start = self.prescribed
+        self._reaction = self._start = self._loads_at_start = self._by_tools = self._by_tools_at_start = self.prescribed
         self.norms: list[float] = []
         self.unbalanced: Float | None = None
         self.reference = self.tolerance = 0.0
@@ -158,7 +158,7 @@ class Equilibrium:
                 return None
             self.external = self.problem.external_force(state) if self._loads is None else self._loads
         residual = force - self.external
-        self._reaction = np.where(self.free, 0.0, residual)
+        self._reaction, self._by_tools = np.where(self.free, 0.0, residual), self.problem.force_of_tools(state)
         # Tied components follow the independent ones, so their residual is zero.
         off = np.where(self.supported, self.scales.stiffness * (values - self.prescribed), 0.0)
         return np.where(self.free, self.problem.supports.reduced(residual), off)
@@ -257,10 +257,11 @@ class Equilibrium:
     def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
         """Return the tolerance of the residual norm, and the norm of its round-off [force].
 
-        The residual is compared with the loads, reactions and forces of inertia at ``x``. In a diverging iterate they
-        can have any size. In a nonlinear body the reference is therefore at most the sum of the forces in the step.
-        These are loads, unbalanced forces and reactions at its start, and the resistance against the change of the
-        prescribed unknowns. The sum is taken over particles, since a few supports may carry a distributed load.
+        The residual is compared with the loads, reactions, forces of rigid tools and forces of inertia at ``x``. In a
+        diverging iterate they can have any size. In a nonlinear body the reference is therefore at most the sum of the
+        forces in the step. These are loads, unbalanced forces, reactions and forces of tools at its start, and the
+        resistance against the change of the prescribed unknowns. The sum is taken over particles, since a few supports
+        may carry a distributed load.
         Round-off grows with the displacement, which ``_note_move`` bounds.
         """
         values = self.at_prescribed(x)
@@ -275,8 +276,8 @@ class Equilibrium:
         jump = np.where(self.supported, change, 0.0)
         inertia = self.problem.inertia
         moving = np.zeros(1) if inertia is None else inertia.inertial(self.problem.state(values, self.t))
-        squares = [self.external, self._reaction, held, moving, round_off, change, jump]
-        sizes = [float(np.abs(force).sum()) for force in (loads, begin, resisted, held)]
+        squares = [self.external, self._reaction, self._by_tools, held, moving, round_off, change, jump]
+        sizes = [float(np.abs(force).sum()) for force in (loads, begin, self._by_tools_at_start, resisted, held)]
         sums = total(self._comm, [float((one**2).sum()) for one in squares] + sizes)
         # A law may have no stress in the undeformed body.
         sums = np.where(np.isfinite(sums), sums, 0.0)
@@ -334,6 +335,8 @@ class Equilibrium:
         # Until the residual is computed, use the forces at the start of this solve, not those of the solve before.
         self.external = self._loads_at_start
         self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
+        self._by_tools = np.zeros_like(u) if force is None else self.problem.force_of_tools(state)
+        self._by_tools_at_start = self._by_tools
         return renewed
 
     def start_over(self) -> None:

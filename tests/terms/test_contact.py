@@ -62,6 +62,19 @@ def test_adaptive_steps_grow_where_contacts_are_solved_again(tmp_path):
     np.testing.assert_allclose(sizes[1:-1], 1.5 * sizes[:-2])
 
 
+def test_a_body_between_tools_is_solved_to_their_forces(tmp_path):
+    """The residual is compared with the forces of tools as with the reactions of supports."""
+    floor = pd.Contact("-y", pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), penetration=0.01, name="floor")
+    sides, bottom, press = block().conditions
+    found = {}
+    for name, ground in (("supported", [bottom]), ("between", [floor, pd.Foundation("-y", normal=1e-6 * E)])):
+        pd.run(block(conditions=[sides, press, *ground]), tmp_path / name)
+        found[name] = json.loads((tmp_path / name / "summary.json").read_text())["steps"][-1]
+    # Two tools press instead of one tool and the supports.
+    assert found["between"]["reference"] == pytest.approx(np.sqrt(2.0) * found["supported"]["reference"], rel=0.05)
+    assert found["between"]["reason"] == "residual below tolerance"
+
+
 def cylinder(**given):
     return pd.RigidSphere((0.0, 3.0), 2.0, **{"move": (0.01, -0.02), **given})
 

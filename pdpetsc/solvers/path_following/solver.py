@@ -381,7 +381,8 @@ class PathSolver(SnesSolver):
 
     def _pressed(self, u: Float) -> bool:
         """Return True if a tool that moves presses the body."""
-        return anywhere(self._comm, self.problem.force_of_tools(self.problem.state(u, self.load)))
+        problem = self.problem
+        return anywhere(self._comm, problem.force_of(problem.driven_tools, problem.state(u, self.load)))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
         """Return unknowns and load factor of a vector, and set motions and conditions to it."""

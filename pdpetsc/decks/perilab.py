@@ -341,12 +341,11 @@ def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where
 
 
 def _conditions(script: Script, section: Section) -> None:
-    known = {("Displacements", "Dirichlet"): "Displacement", ("Temperature", "Dirichlet"): "Temperature",
-             ("Force Densities", "Dirichlet"): "BodyForce", ("Forces", "Dirichlet"): "Forces"}  # fmt: skip
+    known = {"Displacements": "Displacement", "Temperature": "Temperature", "Force Densities": "BodyForce"}
     for one in section.sections.values():
         variable, kind = one.text("Variable"), one.text("Type", "Dirichlet")
-        found = known.get((variable, kind))
-        if found is None or found == "Forces":
+        found = known.get(variable)
+        if found is None or kind != "Dirichlet":
             raise one.wrong(
                 f"is {kind!r} of {variable!r}, which {_NO_PART}; known are Dirichlet of Displacements, Temperature and "
                 f"Force Densities."
@@ -355,7 +354,7 @@ def _conditions(script: Script, section: Section) -> None:
         if axis and axis not in "xyz"[: script.body.dim]:
             raise one.wrong(f"has coordinate {axis!r} of a {script.body.dim}D body.")
         one.use("Coordinate")
-        named = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
+        named = [script.body.node_set(name.strip(), one.place) for name in one.text("Node Set").split("+")]
         where = functools.reduce(operator.or_, named)
         value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
         script.given.append(Given(found, axis, where, value, one.place))
@@ -366,13 +365,6 @@ def _conditions(script: Script, section: Section) -> None:
                 f"{first.place} and {second.place} of the deck prescribe the same component of some particles; PeriLab "
                 f"does not say which holds."
             )
-
-
-def _where(body: Body, name: str, place: str) -> Where:
-    own = body.called.get(tidy(name))
-    if own is not None and own in body.regions:
-        return Where(body.regions[own], np.asarray(body.sets[own]))
-    return body.node_set(name, place)
 
 
 # --- time

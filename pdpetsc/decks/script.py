@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -129,7 +130,8 @@ class Body:
         if own is None or own not in self.sets:
             have = ", ".join(sorted(self.called)) or "none"
             raise CaseError(f"{place} of the deck names the set {name!r}; mesh and deck have {have}.")
-        return Where(f"pd.region.Named({quoted(own)})", np.asarray(self.sets[own], dtype=bool))
+        code = self.regions.get(own, f"pd.region.Named({quoted(own)})")
+        return Where(code, np.asarray(self.sets[own], dtype=bool))
 
 
 def quoted(text: str) -> str:
@@ -337,7 +339,7 @@ class Script:
         text = [f"{plain(self.deck.stem)}, imported from the {self.program} deck {plain(self.deck.name)}."]
         if self.notes.differences:
             text += ["", f"What this computes differs from {self.program}:", ""]
-            text += [line for note in self.notes.differences for line in _wrapped(f"- {plain(note)}", "  ")]
+            text += [line for note in self.notes.differences for line in _wrapped("- ", note, "  ")]
         return '"""' + "\n".join(text) + ('\n"""' if len(text) > 1 else '"""')
 
     def _tail(self) -> str:
@@ -348,7 +350,7 @@ class Script:
         ):
             if entries:
                 lines += ["", f"# {title}:"]
-                lines += [line for entry in entries for line in _wrapped(f"#   {plain(entry)}", "#     ")]
+                lines += [line for entry in entries for line in _wrapped("#   ", entry, "#     ")]
         return "\n".join(lines) + ("\n" if lines else "")
 
     def _left_out(self) -> list[str]:
@@ -479,15 +481,12 @@ def _argument(name: str, code: str) -> list[str]:
     return [f"{name}={lines[0]}", *lines[1:-1], f"{lines[-1]},"] if len(lines) > 1 else [f"{name}={code},"]
 
 
-def _wrapped(text: str, indent: str) -> list[str]:
-    lines, line = [], ""
-    for word in text.split(" "):
-        if line and len(line) + 1 + len(word) > _WIDTH and line.strip("# "):
-            lines.append(line)
-            line = indent + word
-        else:
-            line = f"{line} {word}" if line else word
-    return [*lines, line]
+def _wrapped(first: str, text: str, later: str) -> list[str]:
+    """Return a text of the deck in lines of the case file that begin with ``first`` and ``later``."""
+    return textwrap.wrap(
+        plain(text), _WIDTH, initial_indent=first, subsequent_indent=later, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def plain(text: str) -> str:

@@ -118,11 +118,9 @@ class Section(Part):
         return _FLAGS[text.lower()]
 
     def leaves(self) -> Iterator[Entry]:
-        """Yield all entries of the section and its subsections; an empty section is an entry without text."""
+        """Yield all entries of the section and its subsections."""
         yield from self.entries.values()
         for section in self.sections.values():
-            if not (section.entries or section.sections):
-                continue
             yield from section.leaves()
 
     def use(self, *names: str) -> None:

@@ -5,7 +5,7 @@ Every rank reads the whole file and keeps its own part of the particles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -95,7 +95,7 @@ class Mesh(Particles):
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the cells."""
-        mesh = read_mesh(Path(self.path), self.format)
+        mesh = self._read()
         if _of_spheres(mesh):
             return self._spheres(mesh).chunk(part, parts)
         mesh, points, blocks = self._cells(mesh)
@@ -120,7 +120,7 @@ class Mesh(Particles):
 
     def triangles(self, part: int, parts: int) -> Float | None:
         """Return the free facets of all cells as triangles in the first part; quadrilaterals are halved."""
-        mesh = read_mesh(Path(self.path), self.format)
+        mesh = self._read()
         if _of_spheres(mesh):
             return None
         mesh, points, blocks = self._cells(mesh)
@@ -139,7 +139,7 @@ class Mesh(Particles):
 
     def cells(self) -> Cells:
         """Return the cells of the mesh; a curved edge in the plane becomes two lines."""
-        mesh = read_mesh(Path(self.path), self.format)
+        mesh = self._read()
         if _of_spheres(mesh):
             return super().cells()
         _, points, blocks = self._cells(mesh)
@@ -154,7 +154,7 @@ class Mesh(Particles):
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of particles, and the facets of all of them."""
-        mesh, points, blocks = self._cells()
+        mesh, points, blocks = self._cells(self._read())
         found = facets(points, blocks)
         free = found.free
         if cracks:
@@ -190,9 +190,11 @@ class Mesh(Particles):
             sets[label] = np.isin(nodes, members)
         return Arrays(mesh.points[nodes], volume, sets, self.thickness)
 
-    def _cells(self, given: MeshData | None = None) -> tuple[MeshData, Float, list[Block]]:
+    def _read(self) -> MeshData:
+        return read_mesh(Path(self.path), self.format)
+
+    def _cells(self, mesh: MeshData) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
-        mesh = read_mesh(Path(self.path), self.format) if given is None else given
         if _of_spheres(mesh):
             raise CaseError(
                 f"{self.path} has spheres, which have no faces and corners. Use pd.Mesh with weights=pd.Standard(), "
@@ -240,15 +242,15 @@ class MeshNodes(Mesh):
     >>> plate = pd.MeshNodes("plate.msh", thickness=2.0)
     """
 
-    def _cells(self, given: MeshData | None = None) -> tuple[MeshData, Float, list[Block]]:
+    def _cells(self, mesh: MeshData) -> tuple[MeshData, Float, list[Block]]:
         """Return the same as ``Mesh``, with the corner nodes of the cells only."""
-        mesh, points, chosen = super()._cells(given)
+        mesh, points, chosen = super()._cells(mesh)
         mesh = replace(mesh, blocks=[Block(block.kind, block.corners) for block in mesh.blocks])
         return mesh, points, [block for block in mesh.blocks if block.dim == chosen[0].dim]
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the corner nodes."""
-        mesh, points, blocks = self._cells()
+        mesh, points, blocks = self._cells(self._read())
         _volumes_and_centroids(Path(self.path), points, blocks)  # refuses cells without volume
         nodes, volume = shares_of_nodes(points, blocks)
         sets = _node_sets(mesh, points, blocks, nodes)
@@ -275,7 +277,7 @@ class MeshNodes(Mesh):
                 "cracks= needs pd.Mesh: pd.MeshNodes has no faces of cracks, which loads without a normal and "
                 "conforming weights need."
             )
-        mesh, points, blocks = self._cells()
+        mesh, points, blocks = self._cells(self._read())
         found = facets(points, blocks)
         free = np.flatnonzero(found.free)
         node, x, area, facet, outline = parts_of_facets(points, found.corners[free], found.area[free])
@@ -349,7 +351,6 @@ class _Named:
 def _named(mesh: MeshData, blocks: list[Block], surface: Callable[[], CellFacets]) -> _Named:
     """Return the named entities of a mesh; ``surface`` returns all facets of its cells, if some have names."""
     number, dim = _particles(mesh, blocks), blocks[0].dim
-    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
     cells, behind, flags = dict[str, GlobalIndex](), dict[str, GlobalIndex](), dict[str, Mask]()
     nodes: dict[str, list[GlobalIndex]] = {name: [members] for name, members in mesh.node_sets.items()}
     for name, members in mesh.cell_sets.items():
@@ -363,8 +364,7 @@ def _named(mesh: MeshData, blocks: list[Block], surface: Callable[[], CellFacets
         flags[label] = flags.get(label, False) | on
 
     for name, members in mesh.cell_sets.items():
-        for block, start in zip(mesh.blocks, starts, strict=False):
-            mine = members[(members >= start) & (members < start + len(block.nodes))] - start
+        for block, mine in _by_block(mesh.blocks, members):
             if len(mine) and block.dim == dim - 1:
                 on = having(facet_keys(block.corners[mine]), surface())
                 add(name, surface().cell[on], on)
@@ -407,19 +407,23 @@ def _node_sets(mesh: MeshData, points: Float, blocks: list[Block], nodes: Global
     """Return flags of the corner nodes for each set of cells, facets or nodes of a mesh."""
     surface = cache(lambda: facets(points, blocks))
     named = _named(mesh, blocks, surface)
-    starts = np.cumsum([0, *(len(block.nodes) for block in blocks)])
     members = dict(named.nodes)
     for name, cells in named.cells.items():
-        parts = [
-            np.ravel(block.corners[cells[(cells >= start) & (cells < start + len(block.nodes))] - start])
-            for block, start in zip(blocks, starts, strict=False)
-        ]
-        members[name] = np.concatenate(parts)
+        members[name] = np.concatenate([np.ravel(block.corners[mine]) for block, mine in _by_block(blocks, cells)])
     for name, flags in named.facets.items():
         corners = np.ravel(surface().corners[flags])
         members[name] = corners[corners >= 0]
     found = {name: _flags(len(points), of)[nodes] for name, of in members.items()}
     return {name: flags for name, flags in found.items() if flags.any()}
+
+
+def _by_block(blocks: Sequence[Block], cells: GlobalIndex) -> Iterator[tuple[Block, GlobalIndex]]:
+    """Yield each block with those of the cells that are in it, numbered from its first one on."""
+    start = 0
+    for block in blocks:
+        end = start + len(block.nodes)
+        yield block, cells[(cells >= start) & (cells < end)] - start
+        start = end
 
 
 def _flags(count: int, members: GlobalIndex) -> Mask:

@@ -39,18 +39,18 @@ def files_of(path: Path, name: str | None) -> list[Path]:
     path, name
         As for ``read_mesh``.
     """
-    endings = {word: endings for word, (endings, _) in FORMATS.items()}
-    of = {word for word in endings if (word == name if name is not None else path.suffix.lower() in endings[word])}
-    try:
-        if not path.is_file():
-            return [path]
-        if "abaqus" in of:
+    word = _by_ending(FORMATS).get(path.suffix.lower()) if name is None else name
+    with contextlib.suppress(OSError, CaseError):
+        if word == "abaqus" and path.is_file():
             return abaqus.files(path)
-        if "xdmf" in of:
+        if word == "xdmf" and path.is_file():
             return [path, *_beside(path)]
-    except (OSError, CaseError):
-        pass
     return [path]
+
+
+def _by_ending(formats: _Formats) -> dict[str, str]:
+    """Return the formats by the endings of their files."""
+    return {ending: word for word, (endings, _) in formats.items() for ending in endings}
 
 
 def _beside(path: Path) -> list[Path]:
@@ -93,7 +93,7 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
 
 
 def _read(path: Path, name: str | None, formats: _Formats) -> MeshData:
-    known = {ending: word for word, (endings, _) in formats.items() for ending in endings}
+    known = _by_ending(formats)
     word = known.get(path.suffix.lower()) if name is None else name
     if word is None:
         raise CaseError(

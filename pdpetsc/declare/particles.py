@@ -241,16 +241,13 @@ class Lattice(Particles):
         """Return the number of cells, including those that are cut out."""
         low, high = self.box
         real = ((high - low) / self.spacing).tolist()
-        return math.prod(
-            round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
-        )
+        return math.prod(round(n) + before + after for n, before, after in zip(real, *self._layers, strict=True))
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
         low, high = self.box
         real = np.round((high - low) / self.spacing).astype(np.int64)
-        before = np.array([self._layers("-" + axis) for axis in "xyz"[: self.dim]])
-        after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
+        before, after = np.array(self._layers)
         counts = real + before + after
         total = int(np.prod(counts))
         index = np.arange(*ends_of_part(part, parts, total))
@@ -284,9 +281,8 @@ class Lattice(Particles):
     def _has(self, x: Float) -> Mask:
         """Return flags of the positions (n, dim) that are centres of cells with a particle."""
         low, high = self.box
-        first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
-        last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
-        inside = np.all((x > first) & (x < last), axis=1)
+        before, after = np.array(self._layers)
+        inside = np.all((x > low - before * self.spacing) & (x < high + after * self.spacing), axis=1)
         real = np.all((x > low) & (x < high), axis=1)
         inside[inside] = self._filled(x[inside], self._sets(x[inside], real[inside]))
         return np.asarray(inside)
@@ -310,8 +306,11 @@ class Lattice(Particles):
             sets[f"fictitious {side}"] = x[:, axis] < low[axis] if side[0] == "-" else x[:, axis] > high[axis]
         return sets
 
-    def _layers(self, side: str) -> int:
-        return int(self.fictitious.get(side, 0.0) / self.spacing * (1.0 + WHOLE_CELLS))
+    @property
+    def _layers(self) -> list[list[int]]:
+        """Return the numbers of fictitious layers below the low side of each axis, and above the high side."""
+        depths = [[self.fictitious.get(sign + axis, 0.0) for axis in "xyz"[: self.dim]] for sign in "-+"]
+        return [[int(depth / self.spacing * (1.0 + WHOLE_CELLS)) for depth in row] for row in depths]
 
 
 @dataclass(frozen=True)
@@ -539,14 +538,11 @@ class Arrays(Particles):
         if found is None:
             return None
         cell, sizes = found
-        # Number the cells, leaving room for a neighbour on every side.
-        width = cell.max(axis=0) + 3
-        weights = np.concatenate([[1], np.cumprod(width[:-1])])
-        taken, low = (cell + 1) @ weights, x.min(axis=0)
+        low, counts = x.min(axis=0), cell.max(axis=0) + 1
+        taken = numbers_in(counts, cell)
 
         def has(places: Float) -> Mask:
-            sought = (np.round((places - low) / sizes).astype(np.int64) + 1) @ weights
-            return np.isin(sought, taken)
+            return np.isin(numbers_in(counts, np.round((places - low) / sizes).astype(np.int64)), taken)
 
         return sizes, has
 
@@ -675,6 +671,12 @@ def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np
     if not regular or len(flat) > 1 or abs(np.prod(sizes) - whole) > ALONG * whole:
         return None
     return cell, sizes
+
+
+def numbers_in(counts: GlobalIndex, cell: GlobalIndex) -> GlobalIndex:
+    """Return the numbers of cells (n, dim) of a lattice of ``counts`` cells (dim,), -1 for cells outside."""
+    inside = ((cell >= 0) & (cell < counts)).all(axis=1)
+    return np.where(inside, np.ravel_multi_index(tuple(cell.T), tuple(counts), mode="clip"), -1)
 
 
 def cells_of(x: Float, volume: Float, thickness: float) -> Cells:

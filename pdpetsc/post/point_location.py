@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ import scipy
 
 from pdpetsc.arrays import Float, GlobalIndex, Lookup, Mask
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.declare.particles import lattice_cells
+from pdpetsc.declare.particles import lattice_cells, numbers_in
 
 # A point this near to a face of a cell, as a share of its side, or to a facet, as a share of its extent, is on it.
 ON_FACE = 1e-9
@@ -66,10 +67,11 @@ class Boxes:
         """Return the particles whose cells contain the points; on inner faces the upper one."""
         place = (points - self.x.min(axis=0)) / self.sides + 0.5
         found = np.full(len(points), -1, dtype=np.int64)
-        for corner in range(2 ** len(self.sides)):
-            signs = np.array([1.0 if corner >> axis & 1 == 0 else -1.0 for axis in range(len(self.sides))])
+        counts, particles = self._numbered
+        for signs in itertools.product((1.0, -1.0), repeat=len(self.sides)):
             missing = found < 0
-            found[missing] = self._at(np.floor(place[missing] + ON_FACE * signs).astype(np.int64))
+            cell = np.floor(place[missing] + ON_FACE * np.array(signs[::-1])).astype(np.int64)
+            found[missing] = particles.of(numbers_in(counts, cell))
         return found
 
     def size(self, particles: GlobalIndex) -> Float:
@@ -77,16 +79,11 @@ class Boxes:
         return np.full(len(particles), float(self.sides.max()))
 
     @cached_property
-    def _numbered(self) -> tuple[GlobalIndex, GlobalIndex, Lookup]:
-        """Return cells along each axis, the factors of their numbers, and the numbers of the particles."""
+    def _numbered(self) -> tuple[GlobalIndex, Lookup]:
+        """Return the numbers of cells along each axis (dim,), and the particles by the numbers of their cells."""
         cell = np.round((self.x - self.x.min(axis=0)) / self.sides).astype(np.int64)
-        width = cell.max(axis=0) + 1
-        weights = np.concatenate([[1], np.cumprod(width[:-1])])
-        return width, weights, Lookup(cell @ weights)
-
-    def _at(self, cell: GlobalIndex) -> GlobalIndex:
-        width, weights, numbers = self._numbered
-        return np.where(((cell >= 0) & (cell < width)).all(axis=1), numbers.of(cell @ weights), -1)
+        counts = cell.max(axis=0) + 1
+        return counts, Lookup(numbers_in(counts, cell))
 
 
 def apart(x: Float) -> Float:

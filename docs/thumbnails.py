@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image, ImageChops
 
 from pdpetsc.output.reading import read_summary
-from pdpetsc.output.scene import Scene, scene_of
+from pdpetsc.output.scene import Scene, Settings, scene_of
 
 # Sizes of a thumbnail [inch], of solid bodies before the white rim is cut off, and resolution [dots per inch].
 SIZE, SIZE_OF_SOLID, DPI = (3.2, 1.6), (4.8, 4.8), 225
@@ -25,7 +25,7 @@ MARGIN = 0.02
 def thumbnail(folder: Path, path: Path) -> None:
     """Draw the picture of a run as a PNG file for a card of the gallery."""
     shown = read_summary(folder)["picture"]
-    scene = scene_of(folder, shown["field"], shown["component"], shown["scale"], "")
+    scene = scene_of(folder, Settings(shown["field"], shown["component"], shown["scale"]))
     figure = Figure(figsize=SIZE)
     (draw_line, draw_plane, draw_solid)[scene.dim - 1](figure, scene)
     figure.savefig(path, dpi=DPI, format="png")

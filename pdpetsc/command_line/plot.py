@@ -27,6 +27,7 @@ from pdpetsc.output.files import replacing
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import MARK, draw_field, draw_film, film_format
 from pdpetsc.output.reading import StoredFields, read_history, read_summary, refusing_damage
+from pdpetsc.output.scene import Settings
 
 COMPONENTS = {"displacement": "x", "stress": "xx", "first_piola_stress": "xx", "deformation_gradient": "xx"}
 
@@ -72,11 +73,12 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool, cut: str | Non
             raise CaseError(f"step takes the number of a step, not {given['step']}.")
         cuts = own.get("cut", ()) if cut is None else _cuts(cut)
         path = folder / "deformed.png"
-        draw_field(folder, path, field, component, scale, _title(folder), int(step) if "step" in given else None, cuts)
+        settings = Settings(field, component, scale, cuts)
+        draw_field(folder, path, settings, int(step) if "step" in given else None)
         drawn.append(path)
         if animate:
             drawn.append(folder / f"deformed.{kind}")
-            draw_film(folder, drawn[-1], field, component, scale, _title(folder), cuts)
+            draw_film(folder, drawn[-1], settings)
     elif animate:
         raise CaseError(f"{folder} has no fields.h5 for a film. Add fields to the case and repeat the run.")
     drawn += _history(folder, summary, given.get("x", "t"), given.get("y"))
@@ -89,10 +91,6 @@ def _cuts(text: str) -> list[Any]:
     planes = {} if text == "none" else dict(word.partition("=")[::2] for word in text.split(","))
     refuse_unknown(planes, ("x", "y", "z"), "--cut has no axis")
     return [(axis, _number(planes, axis, 0.0)) for axis in planes]
-
-
-def _title(folder: Path) -> str:
-    return folder.resolve().name
 
 
 def _number(given: Mapping[str, str], name: str, default: float) -> float:

@@ -91,6 +91,8 @@ class FieldWriter:
     ----------
     cloud : Cloud
         The particles.
+    order : InCreationOrder
+        Order of the particles in files.
     folder : Path
         Folder of ``fields/``, ``fields.h5`` and ``fields.xdmf``.
     fields : sequence of Field
@@ -104,7 +106,7 @@ class FieldWriter:
 
     Attributes
     ----------
-    together : bool
+    parallel : bool
         True if all ranks write at once; equal on all ranks.
 
     Raises

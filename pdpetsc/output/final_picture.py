@@ -13,7 +13,7 @@ from pdpetsc.output.folder import set_pictures_aside
 from pdpetsc.output.observer import Observed, Observer, StepRecords
 from pdpetsc.output.picture import draw_field
 from pdpetsc.output.progress import Report
-from pdpetsc.output.scene import component_of
+from pdpetsc.output.scene import Settings, component_of
 from pdpetsc.petsc.stages import OUTPUT, stage
 from pdpetsc.post.picture import Picture, refuse_empty, uncut
 from pdpetsc.post.solution import Solution
@@ -51,15 +51,13 @@ class FinalPicture(Observer):
 
     def finish(self) -> None:
         """Draw the picture; a failure is only a warning."""
-        folder, report, picture = self.observed.folder, self.observed.report, self._picture
-        if picture is not None and is_root(self.observed.comm):
+        folder, report, shown = self.observed.folder, self.observed.report, self._picture
+        if shown is not None and is_root(self.observed.comm):
             path = folder / "picture.png"
+            settings = Settings(shown.field.__name__, shown.component, shown.scale, shown.cuts)
             with stage(OUTPUT):
                 try:
-                    draw_field(
-                        folder, path, picture.field.__name__, picture.component, picture.scale, folder.name,
-                        cuts=picture.cuts,
-                    )  # fmt: skip
+                    draw_field(folder, path, settings)
                     report.say(f"picture in {path}")
                 except Exception as error:
                     report.warn(f"The run is finished, but its picture could not be drawn: {described(error)}")

@@ -10,7 +10,7 @@ import re
 import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
@@ -48,7 +48,7 @@ class Holder:
     @property
     def words(self) -> str:
         """Return the text of the lock file."""
-        return json.dumps({"host": self.host, "pid": self.pid, "started": self.started}) + "\n"
+        return json.dumps(asdict(self)) + "\n"
 
     @property
     def gone(self) -> bool:

@@ -19,8 +19,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
-from pdpetsc.output.scene import Scene, frame_of, scene_of
-from pdpetsc.post.picture import Cut
+from pdpetsc.output.scene import Scene, Settings, frame_of, scene_of
 
 LOG = logging.getLogger("pdpetsc")
 # Resolution of pictures and of the frames of a film [dots per inch].
@@ -36,10 +35,7 @@ MARK = {"Software": "pdpetsc"}
 _SOLID = Path(__file__).with_name("solid.py")
 
 
-def draw_field(
-    folder: Path, path: Path, name: str, component: str, scale: float, title: str, step: int | None = None,
-    cuts: Sequence[Cut] = (),
-) -> None:  # fmt: skip
+def draw_field(folder: Path, path: Path, settings: Settings, step: int | None = None) -> None:
     """Draw a field of a step of ``fields.h5``, the last one by default, into ``path`` (one rank only).
 
     Raises
@@ -49,7 +45,7 @@ def draw_field(
     OutputError
         The picture cannot be written.
     """
-    scene = scene_of(folder, name, component, scale, title, step, cuts=cuts)
+    scene = scene_of(folder, settings, step)
     with replacing(path) as aside:
         _draw_scenes([scene], [aside], path.suffix.removeprefix(".") or "png")
 
@@ -73,7 +69,7 @@ def picture_of_run(folder: Path, field: str | None = None, component: str = "", 
         field, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "picture.png"
-        draw_field(folder, path, field, component, scale, folder.resolve().name)
+        draw_field(folder, path, Settings(field, component, scale))
         return path.read_bytes()
 
 
@@ -86,9 +82,7 @@ def _stored_picture(folder: Path) -> bytes | None:
         return None
 
 
-def draw_film(
-    folder: Path, path: Path, name: str, component: str, scale: float, title: str, cuts: Sequence[Cut] = ()
-) -> int:
+def draw_film(folder: Path, path: Path, settings: Settings) -> int:
     """Draw a field of all steps into a ``.gif`` or ``.mp4`` and return the number of frames (one rank only).
 
     All frames have the same colour scale and axes. If there are more than 120 steps, every n-th is drawn.
@@ -110,12 +104,12 @@ def draw_film(
     chosen = steps[:: max(1, -(-len(steps) // FRAMES))]
     if chosen[-1] != steps[-1]:
         chosen.append(steps[-1])
-    limits, box = frame_of(folder, name, component, scale, chosen, cuts)
+    limits, box = frame_of(folder, settings, chosen)
     with tempfile.TemporaryDirectory() as place, replacing(path) as aside:
         frames = [Path(place) / f"{number:05d}.png" for number in range(len(chosen))]
         for first in range(0, len(chosen), PER_PROCESS):
             some = slice(first, first + PER_PROCESS)
-            scenes = [scene_of(folder, name, component, scale, title, step, limits, cuts) for step in chosen[some]]
+            scenes = [scene_of(folder, settings, step, limits) for step in chosen[some]]
             _draw_scenes(scenes, frames[some], "png", box, DPI_OF_FRAMES)
         (_gif if kind == ".gif" else _mp4)(frames, aside)
     return len(frames)

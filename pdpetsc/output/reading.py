@@ -64,6 +64,13 @@ def read_summary(folder: Path) -> dict[str, Any]:
     return found
 
 
+def crack_records(summary: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """Return the records of the initial cracks of a run; earlier versions recorded only lines of plane bodies."""
+    if summary.get("cuts") is not None:
+        return summary["cuts"]  # type: ignore[no-any-return]
+    return [{"kind": "Polyline", "points": line} for line in summary.get("cracks") or [] if len(line) > 1]
+
+
 def read_history(folder: Path) -> dict[str, Float]:
     """Return the columns of ``history.csv`` (n_steps,) by name; raises CaseError as ``read_table``."""
     return read_table(folder / "history.csv")

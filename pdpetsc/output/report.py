@@ -125,7 +125,7 @@ def _came_out(
 def _checked(check: Mapping[str, Any]) -> list[Any]:
     """Return the table row of a check."""
     numbers = [_number(check.get(name)) for name in ("value", "got", "difference", "tolerance")]
-    word = _Marked("ok", "ok") if check.get("ok") else _Marked("wrong", "FAILED")
+    word = _marked("ok", "ok") if check.get("ok") else _marked("wrong", "FAILED")
     return [check.get("result"), *numbers, word, check.get("source")]
 
 
@@ -233,7 +233,7 @@ def _convergence(summary: Mapping[str, Any]) -> str:
                 str(step.get("step")), _number(step.get("t")), *(_number(step.get(key)) for key in counted),
                 f"{relative:.1e}", _number(reference), *([_number(step.get("broken_bonds") or 0)] if broke else []),
                 _number(len(step.get("cut_backs") or [])),
-                _Marked("wrong", str(pivots)) if pivots else _number(pivots), step.get("reason"),
+                _marked("wrong", str(pivots)) if pivots else _number(pivots), step.get("reason"),
             ]
         )  # fmt: skip
     left = f"<p>{len(shown)} of {len(steps)} steps.</p>" if len(shown) < len(steps) else ""
@@ -248,7 +248,7 @@ def _timing(summary: Mapping[str, Any]) -> str:
     timings = {name: float(value) for name, value in (summary.get("timings") or {}).items()}
     total = sum(timings.values())
     rows = [
-        [name, f"{seconds:.3f}", _Bar(seconds / total if total else 0.0)]
+        [name, f"{seconds:.3f}", _bar(seconds / total if total else 0.0)]
         for name, seconds in sorted(timings.items(), key=lambda item: -item[1])
     ]
     parts = [_table(["phase", "seconds", ""], [*rows, ["all", f"{total:.3f}", ""]])] if rows else []
@@ -261,19 +261,18 @@ def _timing(summary: Mapping[str, Any]) -> str:
     return "".join(parts) or "<p>Nothing was timed.</p>"
 
 
-class _Marked(str):
-    """A word in a table with a CSS class."""
-
-    style: str
-
-    def __new__(cls, style: str, text: str) -> _Marked:
-        made = super().__new__(cls, text)
-        made.style = style
-        return made
+class _Cell(str):
+    """A cell of a table as HTML."""
 
 
-class _Bar(float):
-    """A fraction that is drawn as a bar."""
+def _marked(style: str, text: str) -> _Cell:
+    """Return a word in a table with a CSS class."""
+    return _Cell(f'<td class="{style}">{_safe(text)}</td>')
+
+
+def _bar(fraction: float) -> _Cell:
+    """Return a fraction drawn as a bar."""
+    return _Cell(f'<td class="text"><span class="bar" style="width:{20.0 * fraction:.2f}rem"></span></td>')
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -281,10 +280,8 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _cell(value: Any) -> str:
-    if isinstance(value, _Bar):
-        return f'<td class="text"><span class="bar" style="width:{20.0 * value:.2f}rem"></span></td>'
-    if isinstance(value, _Marked):
-        return f'<td class="{value.style}">{_safe(value)}</td>'
+    if isinstance(value, _Cell):
+        return value
     text = "" if value is None else str(value)
     return f"<td{'' if _is_number(text) or not text else ' class=text'}>{_safe(text)}</td>"
 

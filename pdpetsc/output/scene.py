@@ -13,12 +13,12 @@ import scipy
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.declare.cracks import Crack, crack_of
+from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.particles import cells_of
 from pdpetsc.declare.tiling import Cells, boxes
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.reading import StoredFields, read_history, read_summary, read_table
+from pdpetsc.output.reading import StoredFields, crack_records, read_history, read_summary, read_table
 from pdpetsc.output.surface import read_cells
 from pdpetsc.post.picture import Cut, refuse_empty, uncut
 from pdpetsc.post.point_location import Held
@@ -33,6 +33,26 @@ FITS, TORN = 5, 0.1
 LOOSE = 0.999
 # Relative tolerance on the length of a bond between two particles; bonds to images have other lengths [-].
 OWN = 1e-6
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a picture shows.
+
+    Attributes
+    ----------
+    field, component : str
+        Stored field and its component that colour the body.
+    scale : float
+        Factor on the displacements.
+    cuts : sequence of (str, float)
+        Planes beyond which a solid body is not drawn.
+    """
+
+    field: str
+    component: str = ""
+    scale: float = 1.0
+    cuts: Sequence[Cut] = ()
 
 
 @dataclass(frozen=True)
@@ -87,9 +107,8 @@ class Scene:
 
 
 def scene_of(
-    folder: Path, name: str, component: str, scale: float, title: str, step: int | None = None,
-    limits: tuple[float, float] | None = None, cuts: Sequence[Cut] = (),
-) -> Scene:  # fmt: skip
+    folder: Path, settings: Settings, step: int | None = None, limits: tuple[float, float] | None = None
+) -> Scene:
     """Return the scene of a step, the last one by default (one rank only).
 
     Raises
@@ -105,15 +124,18 @@ def scene_of(
     summary = read_summary(folder) if (folder / "summary.json").exists() else {}
     labels = Labels.of(summary)
     stride = _stride(stored)
+    scale, cuts = settings.scale, settings.cuts
     x = stored.of_particles("position", stride)
     u = scale * stored.field("displacement", step, stride)
-    values = component_of(stored.field(name, step, stride), component)
+    values = component_of(stored.field(settings.field, step, stride), settings.component)
     body = _body_of(folder, stored, summary, step, scale, stride, cuts)
     dim = body.moved.points.shape[1]
     shown = stored.steps[-1] if step is None else step
-    label = labels.field(name, component)
+    label = labels.field(settings.field, settings.component)
     enlarged = "" if scale == 1.0 else f", displacements \N{MULTIPLICATION SIGN} {scale:g}"
-    words = f"{title}: {label}\nstep {shown}, {_load(folder, shown, stored.time(shown), labels)}{enlarged}"
+    words = (
+        f"{folder.resolve().name}: {label}\nstep {shown}, {_load(folder, shown, stored.time(shown), labels)}{enlarged}"
+    )
     horizon = float(summary["horizon"]) if isinstance(summary.get("horizon"), int | float) else None
     if dim == 3 and horizon:
         words += f", horizon {labels.length(horizon)}"
@@ -201,7 +223,8 @@ def _body_of(
         cells, held = boxes(x, (stride * volume / depth) ** (1.0 / dim)), Held(x)
     else:
         cells = cells or cells_of(x, volume, depth)
-        held = Held(x, _cracks(summary), broken_pairs(folder, stored.steps[-1] if step is None else step, position))
+        cracks = [crack for record in crack_records(summary) if (crack := crack_of(record)) is not None]
+        held = Held(x, cracks, broken_pairs(folder, stored.steps[-1] if step is None else step, position))
     refuse_empty(cuts, int(uncut(x if extent > 1 else position[:, :1], cuts).sum()))
     for axis, at in cuts:
         cells = cells.below("xyz".index(axis), at)
@@ -209,13 +232,6 @@ def _body_of(
     damage = stored.field("local_damage", step, stride) if "local_damage" in names else np.zeros(len(x))
     reach = cells.points[cells.corners] - x[np.repeat(cells.owner, cells.count)]
     return _Body(cells, *deformed(cells, x, u, held, damage >= LOOSE), float(np.linalg.norm(reach, axis=1).max()))
-
-
-def _cracks(summary: Mapping[str, Any]) -> list[Crack]:
-    """Return the initial cracks of a case; earlier versions recorded lines only."""
-    lines = [{"kind": "Polyline", "points": line} for line in summary.get("cracks") or [] if len(line) > 1]
-    found = [crack_of(record) for record in summary.get("cuts") or lines]
-    return [crack for crack in found if crack is not None]
 
 
 def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple[Cells, Float]:
@@ -259,9 +275,7 @@ def deformed(cells: Cells, x: Float, u: Float, held: Held, loose: Mask) -> tuple
     return moved, np.asarray(moved.points[moved.corners[edges]])
 
 
-def frame_of(
-    folder: Path, name: str, component: str, scale: float, steps: Sequence[int], cuts: Sequence[Cut] = ()
-) -> tuple[tuple[float, float], tuple[Float, Float]]:
+def frame_of(folder: Path, settings: Settings, steps: Sequence[int]) -> tuple[tuple[float, float], tuple[Float, Float]]:
     """Return the ends of the colour scale and the corners common to several steps, reading one step at a time.
 
     Raises
@@ -273,14 +287,14 @@ def frame_of(
     stride = _stride(stored)
     x = stored.of_particles("position", stride)
     dim = int((np.ptp(x, axis=0) > 0.0).sum())
-    left = uncut(x, cuts)
-    refuse_empty(cuts, int(left.sum()))
+    left = uncut(x, settings.cuts)
+    refuse_empty(settings.cuts, int(left.sum()))
     ends, lows, highs = [], [], []
     for step in steps:
-        values = component_of(stored.field(name, step, stride), component)
+        values = component_of(stored.field(settings.field, step, stride), settings.component)
         # The scale of a curve includes its peaks.
         ends.append(limits_of(values) if dim > 1 else (float(np.nanmin(values)), float(np.nanmax(values))))
-        y = (x + scale * stored.field("displacement", step, stride))[left]
+        y = (x + settings.scale * stored.field("displacement", step, stride))[left]
         lows.append(y.min(axis=0))
         highs.append(y.max(axis=0))
     return _without_round_off(float(np.min(ends)), float(np.max(ends))), (np.min(lows, axis=0), np.max(highs, axis=0))

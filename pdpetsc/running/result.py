@@ -24,7 +24,7 @@ from pdpetsc.errors import CaseError, RunError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import picture_of_run
-from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.output.reading import StoredFields, crack_records, read_history, read_summary
 from pdpetsc.output.scene import broken_pairs, grid_of
 from pdpetsc.output.surface import read_surface
 from pdpetsc.output.tables import cell, table_html
@@ -214,12 +214,7 @@ class Result(Mapping[str, float]):
 
     def _connection(self, x: Float, step: int | None) -> tuple[list[Crack], GlobalIndex, float]:
         """Return the cracks, the pairs of particles (n, 2) with a broken bond at a step, and the horizon [length]."""
-        records = self.summary.get("cuts")
-        if records is None:
-            # Earlier versions stored only crack lines of plane bodies.
-            lines = self.summary.get("cracks") or []
-            records = [{"kind": "Polyline", "points": line} for line in lines if len(line) > 1]
-        cracks = [(record, crack_of(record)) for record in records]
+        cracks = [(record, crack_of(record)) for record in crack_records(self.summary)]
         unknown = [str(record.get("kind")) for record, crack in cracks if crack is None]
         if unknown:
             raise CaseError(

@@ -291,9 +291,9 @@ class _Run:
     def _take_folder(self, origin: Origin | None) -> str:
         """Reserve the folder for this run; return the identifier of its files."""
         record = self.record
-        own = origin is not None and origin.inside(record.folder)
+        own = origin if origin is not None and origin.inside(record.folder) else None
         self.signals.patient = True
-        if not own:
+        if own is None:
             if is_root(record.comm) and (record.folder / "summary.json").exists():
                 self.report.say(f"the results of an earlier run go to {record.folder / 'earlier'}")
             try:
@@ -302,7 +302,7 @@ class _Run:
                 record.taken = True
                 raise
         record.taken = True
-        run: str = origin.run if own and origin is not None else record.comm.bcast(uuid.uuid4().hex)
+        run: str = record.comm.bcast(uuid.uuid4().hex) if own is None else own.run
         record.summary["run"] = run
         record.write("running")
         return run

@@ -20,7 +20,7 @@ from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
 from pdpetsc.output.reading import read_history, read_summary
-from pdpetsc.output.scene import broken_pairs, deformed, frame_of, gradients, grid_of, limits_of, scene_of
+from pdpetsc.output.scene import Settings, broken_pairs, deformed, frame_of, gradients, grid_of, limits_of, scene_of
 from pdpetsc.output.surface import read_cells
 from pdpetsc.post.point_location import Held
 from tests.commands import results
@@ -62,7 +62,7 @@ def solid(tmp_path_factory):
 
 
 def test_a_scene_has_the_places_the_gradients_and_the_words_of_its_step(plane):
-    scene = scene_of(plane, "stress", "xx", 2.0, "bar", step=1)
+    scene = scene_of(plane, Settings("stress", "xx", 2.0), step=1)
     assert np.allclose(scene.y[:, :2], scene.x[:, :2] + 2.0 * 0.5 * scene.x[:, :2] @ GRADIENT.T, atol=1e-12)
     assert scene.horizon == pytest.approx(1.0075)
     corners = pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5).cells()
@@ -73,12 +73,12 @@ def test_a_scene_has_the_places_the_gradients_and_the_words_of_its_step(plane):
         scene.title
         == f"bar: stress xx [MPa]\nstep 1, load t = 0.5, force = {force:.4g} N, displacements \N{MULTIPLICATION SIGN} 2"
     )
-    assert scene_of(plane, "von_mises", "", 1.0, "bar").label == "von Mises stress [MPa]"
-    assert scene_of(plane, "stress_xy", "", 1.0, "bar").label == "stress xy [MPa]"
+    assert scene_of(plane, Settings("von_mises")).label == "von Mises stress [MPa]"
+    assert scene_of(plane, Settings("stress_xy")).label == "stress xy [MPa]"
 
 
 def test_a_crack_is_drawn_as_both_of_its_faces_where_they_have_moved_to(plane):
-    cracks = scene_of(plane, "stress", "xx", 1.0, "bar").cracks
+    cracks = scene_of(plane, Settings("stress", "xx")).cracks
     assert cracks.shape == (8, 2, 2)  # four cells on either side
     back = np.linalg.solve(np.eye(2) + GRADIENT, cracks.reshape(-1, 2).T).T
     assert np.allclose(back[:, 1], 1.5, atol=1e-9) and np.ptp(back[:, 0]) == pytest.approx(2.0)
@@ -260,7 +260,7 @@ def test_a_cut_shows_values_that_the_surface_does_not_have(tmp_path):
     assert (tmp_path / "picture.png").exists() and result.summary["picture"]["cut"] == [["x", 3.0]]
 
     def drawn(*cuts):
-        found = scene_of(tmp_path, "displacement", "x", 0.0, "block", cuts=cuts)
+        found = scene_of(tmp_path, Settings("displacement", "x", 0.0, cuts=cuts))
         return found, found.values[found.cells.owner], len(found.cells.count)
 
     whole, outside, faces = drawn()
@@ -274,16 +274,16 @@ def test_a_cut_shows_values_that_the_surface_does_not_have(tmp_path):
     # A plane through cells cuts them.
     through, _, faces = drawn(("x", 3.2))
     assert faces == 2 * (7 * 4 + 7 * 4 + 4 * 4) and through.cells.points[:, 0].max() == pytest.approx(3.2)
-    limits, (low, high) = frame_of(tmp_path, "displacement", "x", 0.0, [1], [("y", 1.0)])
+    limits, (low, high) = frame_of(tmp_path, Settings("displacement", "x", 0.0, [("y", 1.0)]), [1])
     assert limits == whole.limits and np.allclose([low, high], [[0.25] * 3, [5.75, 0.75, 1.75]])
 
 
 def test_a_cut_face_along_y_is_seen(solid, tmp_path, monkeypatch):
     monkeypatch.setattr(picture.importlib.util, "find_spec", lambda name: None)
     for axis in "xyz":
-        draw_field(solid, tmp_path / f"{axis}.png", "displacement", "x", 1.0, "block", cuts=[(axis, 1.0)])
+        draw_field(solid, tmp_path / f"{axis}.png", Settings("displacement", "x", cuts=[(axis, 1.0)]))
         assert colours(tmp_path / f"{axis}.png") > 5_000
-    assert picture._from_behind(scene_of(solid, "displacement", "x", 1.0, "block", cuts=[("y", 1.0)]))
+    assert picture._from_behind(scene_of(solid, Settings("displacement", "x", cuts=[("y", 1.0)])))
 
 
 @pytest.mark.parametrize("at", [-1.0, 0.25])
@@ -291,9 +291,9 @@ def test_a_cut_that_leaves_nothing_is_refused(at, solid, tmp_path):
     cuts = [("z", 5.0), ("x", at)]
     message = f"The cut at z = 5, x = {at:g} leaves nothing of the body; move the plane into the body"
     with pytest.raises(pd.CaseError, match=message):
-        draw_field(solid, tmp_path / "p.png", "stress", "xx", 1.0, "block", cuts=cuts)
+        draw_field(solid, tmp_path / "p.png", Settings("stress", "xx", cuts=cuts))
     with pytest.raises(pd.CaseError, match=message):
-        draw_film(solid, tmp_path / "p.gif", "stress", "xx", 1.0, "block", cuts)
+        draw_film(solid, tmp_path / "p.gif", Settings("stress", "xx", cuts=cuts))
     block = pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5)
     with pytest.raises(pd.CaseError, match=message):
         pd.run(moved(block, 0.1 * np.eye(3), picture=pd.Picture(cut=cuts)), tmp_path)
@@ -302,7 +302,7 @@ def test_a_cut_that_leaves_nothing_is_refused(at, solid, tmp_path):
 def test_a_cut_is_for_solid_bodies(plane, tmp_path):
     message = "The cut of a picture requires a body in 3D; this body is in 2D. Omit the cut"
     with pytest.raises(pd.CaseError, match=message):
-        draw_field(plane, tmp_path / "p.png", "stress", "xx", 1.0, "bar", cuts=[("x", 3.0)])
+        draw_field(plane, tmp_path / "p.png", Settings("stress", "xx", cuts=[("x", 3.0)]))
     with pytest.raises(pd.CaseError, match=message):
         pd.run(moved(pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, picture=pd.Picture(cut=("z", 3.0))), tmp_path)
 
@@ -316,8 +316,8 @@ def test_a_cut_is_an_axis_and_a_position(cut):
 def test_plot_cuts_the_body(solid, tmp_path, monkeypatch):
     shutil.copytree(solid, tmp_path / "run")
     asked = []
-    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words[-1]))
-    monkeypatch.setattr(plot_command, "draw_film", lambda folder, path, *words: asked.append(words[-1]))
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, settings, step: asked.append(settings.cuts))
+    monkeypatch.setattr(plot_command, "draw_film", lambda folder, path, settings: asked.append(settings.cuts))
     for words in (["--cut", "x=3,z=-1.5", "--animate"], ["--cut", "none"], []):
         assert command("plot", [str(tmp_path / "run"), *words]) == 0
     planes = [("x", 3.0), ("z", -1.5)]
@@ -334,7 +334,7 @@ def test_plot_begins_with_the_cut_of_the_case(tmp_path, monkeypatch):
     block = pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5)
     pd.run(moved(block, 0.1 * np.eye(3), picture=pd.Picture(pd.displacement, "x", cut=[("y", 1.0)])), tmp_path)
     asked = []
-    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words[-1]))
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, settings, step: asked.append(settings.cuts))
     for cut in (None, "x=1", "none"):
         plot(tmp_path, {}, cut=cut)
     assert [list(map(tuple, cuts)) for cuts in asked] == [[("y", 1.0)], [("x", 1.0)], []]
@@ -342,10 +342,10 @@ def test_plot_begins_with_the_cut_of_the_case(tmp_path, monkeypatch):
 
 def test_a_picture_of_a_part_of_the_particles_says_so(plane, solid, monkeypatch):
     monkeypatch.setattr(scene, "MOST", 30)
-    drawn = scene_of(plane, "stress", "xx", 1.0, "bar")
+    drawn = scene_of(plane, Settings("stress", "xx"))
     assert len(drawn.x) == len(drawn.cells.count) == 24 and len(drawn.cracks) == 0
     assert drawn.title.endswith(" N, 1 particle in 3 shown, cracks not drawn")
-    assert scene_of(solid, "stress", "xx", 1.0, "bar").title.endswith(" MN, horizon 1.008 m, 1 particle in 7 shown")
+    assert scene_of(solid, Settings("stress", "xx")).title.endswith(" MN, horizon 1.008 m, 1 particle in 7 shown")
 
 
 def test_round_off_does_not_fill_the_scale_of_colours():
@@ -366,7 +366,7 @@ def colours(path):
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_a_plane_body_is_drawn(plane, tmp_path, suffix):
     path = tmp_path / f"p{suffix}"
-    draw_field(plane, path, "stress", "xx", 1.0, "bar")
+    draw_field(plane, path, Settings("stress", "xx"))
     assert path.stat().st_size > 5_000
     if suffix == ".png":
         assert colours(path) > 50_000
@@ -376,7 +376,7 @@ def test_the_size_of_the_horizon_is_drawn_to_scale(plane):
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
-    scene = scene_of(plane, "stress", "xx", 1.0, "bar")
+    scene = scene_of(plane, Settings("stress", "xx"))
     figure = Figure()
     axes = figure.add_subplot()
     low, high = picture._framed(scene, None)
@@ -388,7 +388,7 @@ def test_the_size_of_the_horizon_is_drawn_to_scale(plane):
 
 def test_a_film_has_a_frame_for_each_step_with_the_same_axes(plane, tmp_path):
     path = tmp_path / "film.gif"
-    assert draw_film(plane, path, "displacement", "x", 1.0, "bar") == 3
+    assert draw_film(plane, path, Settings("displacement", "x")) == 3
     film = Image.open(path)
     assert film.n_frames == 3
     frames = []
@@ -400,7 +400,7 @@ def test_a_film_has_a_frame_for_each_step_with_the_same_axes(plane, tmp_path):
     below = int(0.9 * frames[0].shape[0])
     assert np.abs(frames[0][below:] - frames[2][below:]).mean() < 1.0
     with pytest.raises(pd.CaseError, match=r"a \.gif or an \.mp4"):
-        draw_film(plane, tmp_path / "film.avi", "displacement", "x", 1.0, "bar")
+        draw_film(plane, tmp_path / "film.avi", Settings("displacement", "x"))
 
 
 def test_a_solid_body_is_drawn_by_pyvista_without_a_display(solid, tmp_path, monkeypatch, caplog):
@@ -409,7 +409,7 @@ def test_a_solid_body_is_drawn_by_pyvista_without_a_display(solid, tmp_path, mon
     # A crack that has not begun, or of another step, is no reason to draw anything else.
     (solid / "crack.vtk").write_text(polydata([], True, "pdpetsc, step 9"))
     with caplog.at_level(logging.INFO, "pdpetsc"):
-        draw_field(solid, tmp_path / "p.png", "von_mises", "", 1.0, "block")
+        draw_field(solid, tmp_path / "p.png", Settings("von_mises"))
     if "PyVista cannot draw here" in caplog.text:
         pytest.skip(f"no OpenGL here: {caplog.text}")
     image = Image.open(tmp_path / "p.png")
@@ -429,7 +429,7 @@ def test_a_solid_body_is_drawn_also_where_pyvista_fails(script, why, solid, tmp_
     pytest.importorskip("pyvista")
     (tmp_path / "solid.py").write_text(script)
     monkeypatch.setattr(picture, "_SOLID", tmp_path / "solid.py")
-    draw_field(solid, tmp_path / "p.png", "stress", "xx", 1.0, "block")
+    draw_field(solid, tmp_path / "p.png", Settings("stress", "xx"))
     assert "PyVista cannot draw here" in caplog.text and why in caplog.text
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
@@ -437,7 +437,7 @@ def test_a_solid_body_is_drawn_also_where_pyvista_fails(script, why, solid, tmp_
 def test_a_solid_body_is_drawn_also_without_pyvista(solid, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(picture.importlib.util, "find_spec", lambda name: None)
     with caplog.at_level(logging.INFO, "pdpetsc"):
-        draw_field(solid, tmp_path / "p.png", "displacement", "x", 1.0, "block")
+        draw_field(solid, tmp_path / "p.png", Settings("displacement", "x"))
     assert "pip install pyvista" in caplog.text and colours(tmp_path / "p.png") > 5_000
 
 
@@ -501,8 +501,8 @@ def test_units_do_not_change_a_number_nor_what_a_restart_accepts(plane, tmp_path
 
 def test_a_film_of_a_line_keeps_its_axes_and_shows_its_peaks(tmp_path):
     result = pd.run(moved(pd.Lattice((0.0,), (6.0,), 0.5), np.array([[0.1]]), steps=pd.Steps(2)), tmp_path)
-    assert draw_film(tmp_path, tmp_path / "film.gif", "displacement", "x", 1.0, "line") == 3
-    limits, _ = frame_of(tmp_path, "displacement", "x", 1.0, [0, 1, 2])
+    assert draw_film(tmp_path, tmp_path / "film.gif", Settings("displacement", "x")) == 3
+    limits, _ = frame_of(tmp_path, Settings("displacement", "x"), [0, 1, 2])
     assert limits == (0.0, result.field("displacement").max())
 
 
@@ -512,7 +512,7 @@ def test_a_film_of_a_solid_body_is_drawn_in_one_process(solid, tmp_path, monkeyp
     started = []
     run = picture.subprocess.run
     monkeypatch.setattr(picture.subprocess, "run", lambda *words, **given: started.append(1) or run(*words, **given))
-    assert draw_film(solid, tmp_path / "film.gif", "displacement", "x", 1.0, "block") == 2
+    assert draw_film(solid, tmp_path / "film.gif", Settings("displacement", "x")) == 2
     assert len(started) == 1 and Image.open(tmp_path / "film.gif").n_frames == 2
 
 
@@ -548,7 +548,7 @@ def test_a_crack_along_a_mirror_plane_breaks_no_bond_beside_it(tmp_path):
     same = {tuple(np.round(place, 6).ravel()) for place in half.x[pairs][..., :2]}
     upper = [place for place in whole.x[broken_pairs(whole.folder, 3, whole.x)][..., :2] if (place[:, 1] > 0.0).all()]
     assert same == {tuple(np.round(place, 6).ravel()) for place in upper}
-    drawn, full = (scene_of(folder, "displacement", "y", 1.0, "plate") for folder in (half.folder, whole.folder))
+    drawn, full = (scene_of(folder, Settings("displacement", "y")) for folder in (half.folder, whole.folder))
     # The crack is the border of the half, and has two faces in the whole; cells are drawn alike.
     assert len(drawn.cracks) == 0 and len(full.cracks) == 40
     above = np.flatnonzero(full.x[:, 1] > 0.0)
@@ -594,7 +594,7 @@ def test_particles_of_very_different_volume_are_drawn_as_large_as_they_are(dim, 
         fields=[pd.displacement],
     )
     pd.run(case, tmp_path)
-    cells = scene_of(tmp_path, "displacement", "x", 1.0, "graded").cells
+    cells = scene_of(tmp_path, Settings("displacement", "x")).cells
     if dim == 2:
         assert area_of(cells).sum() == pytest.approx(volume.sum() * unit**2, rel=0.05)
     else:
@@ -602,7 +602,7 @@ def test_particles_of_very_different_volume_are_drawn_as_large_as_they_are(dim, 
         side = np.ptp(box.points.reshape(-1, 8, 3), axis=1)
         assert np.allclose(side, unit * np.cbrt(volume)[:, None], rtol=0.5)
         assert np.median(np.abs(side[:, 0] / unit / np.cbrt(volume) - 1.0)) < 1e-9
-    draw_field(tmp_path, tmp_path / "p.png", "displacement", "x", 1.0, "graded")
+    draw_field(tmp_path, tmp_path / "p.png", Settings("displacement", "x"))
     if dim == 2:
         shown = np.asarray(Image.open(tmp_path / "p.png").convert("RGB")).astype(int)
         drawn = (shown.max(axis=2) - shown.min(axis=2)) > 40
@@ -631,11 +631,11 @@ def test_a_picture_of_the_displacement_needs_no_declared_field(tmp_path):
 def test_runs_of_earlier_versions_are_drawn_without_a_file_of_cells(plane, tmp_path):
     shutil.copytree(plane, tmp_path / "old")
     (tmp_path / "old" / "fields" / "cells.h5").unlink()
-    new, old = (scene_of(folder, "stress", "xx", 1.0, "bar") for folder in (plane, tmp_path / "old"))
+    new, old = (scene_of(folder, Settings("stress", "xx")) for folder in (plane, tmp_path / "old"))
     assert np.allclose(new.cells.points[new.cells.corners], old.cells.points[old.cells.corners])
     (tmp_path / "old" / "fields" / "cells.h5").write_bytes(b"\x89HDF nothing")
     with pytest.raises(pd.CaseError, match=r"cells.h5: .*; run the case again, or remove the file"):
-        scene_of(tmp_path / "old", "stress", "xx", 1.0, "bar")
+        scene_of(tmp_path / "old", Settings("stress", "xx"))
 
 
 def test_a_grid_for_pyvista_opens_along_cracks(plane, solid, tmp_path):
@@ -658,10 +658,10 @@ def test_plot_begins_with_the_picture_of_the_case(tmp_path, monkeypatch):
     )  # fmt: skip
     pd.run(case, tmp_path)
     asked = []
-    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, *words: asked.append(words))
+    monkeypatch.setattr(plot_command, "draw_field", lambda folder, path, settings, step: asked.append(settings))
     for words in ({}, {"scale": "1"}, {"component": "x"}, {"field": "stress"}, {"field": "displacement"}):
         plot(tmp_path, words)
-    shown = [words[:3] for words in asked]
+    shown = [(settings.field, settings.component, settings.scale) for settings in asked]
     assert shown == [
         ("displacement", "y", 3.0), ("displacement", "y", 1.0), ("displacement", "x", 3.0), ("stress", "xx", 1.0),
         ("displacement", "y", 3.0),
@@ -697,7 +697,7 @@ def test_cells_do_not_depend_on_the_number_of_ranks(kind, tmp_path):
     for name in ("points", "corners", "offsets", "particle"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
     assert (tmp_path / "1" / "fields.xdmf").read_text() == (tmp_path / "2" / "fields.xdmf").read_text()
-    first, second = (scene_of(tmp_path / name, "displacement", "x", 1.0, "a").cells for name in "12")
+    first, second = (scene_of(tmp_path / name, Settings("displacement", "x")).cells for name in "12")
     assert np.allclose(first.points[first.corners], second.points[second.corners], atol=1e-9)
 
 

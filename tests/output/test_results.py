@@ -19,7 +19,7 @@ from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
 from pdpetsc.output.reading import StoredFields
-from pdpetsc.output.scene import scene_of
+from pdpetsc.output.scene import Settings, scene_of
 from pdpetsc.post.point_location import inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison
@@ -533,7 +533,7 @@ def test_fields_of_any_name_come_as_xarray_with_their_units(tmp_path):
     assert data["principal_stresses"].dims == ("step", "particle", "principal")
     first = data["principal_stresses"].sel(step=2, principal=1)
     assert np.array_equal(first, run.field("principal_stresses").max(axis=1)) and first.attrs["units"] == "MPa"
-    assert scene_of(run.folder, "principal_stresses", "x", 1.0, "bar").label == "principal stresses 1 [MPa]"
+    assert scene_of(run.folder, Settings("principal_stresses", "x")).label == "principal stresses 1 [MPa]"
 
 
 def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):

@@ -115,8 +115,8 @@ class LagrangianMaterial(SteppedMaterial):
     def _energy(self, step: Step) -> Float:
         return self.energy(step.frame.strain, step.response.state)
 
-    def _remember(self, step: Step, dim: int) -> None:
+    def _remember(self, step: Step) -> None:
         step.history[:] = step.response.state
 
-    def _hidden_strain(self, step: Step, dim: int) -> Float:
-        return np.asarray(step.frame.strain[:, dim:3].sum(axis=1))
+    def _hidden_strain(self, step: Step) -> Float:
+        return np.asarray(step.frame.strain[:, step.dim : 3].sum(axis=1))

@@ -124,18 +124,18 @@ class LogarithmicMaterial(SteppedMaterial):
     def _energy(self, step: Step) -> Float:
         return self.energy(step.response.elastic, step.response.state)
 
-    def _remember(self, step: Step, dim: int) -> None:
-        axes, response, history, first = step.frame, step.response, step.history, dim * dim
+    def _remember(self, step: Step) -> None:
+        axes, response, history, first = step.frame, step.response, step.history, step.dim**2
         commit(history, response.elastic, axes)
         if step.kind in ("stress", "bar"):
             history[:, first + 1] += axes.strain[:, 2] - history[:, first]
         history[:, first] = response.elastic[:, 2]
         history[:, first + KEPT :] = response.state
 
-    def _hidden_strain(self, step: Step, dim: int) -> Float:
-        first = dim * dim
+    def _hidden_strain(self, step: Step) -> Float:
+        first = step.dim**2
         total = step.history[:, first + 1] + step.frame.strain[:, 2] - step.history[:, first]
-        return np.asarray(total * (3 - dim))
+        return np.asarray(total * (3 - step.dim))
 
 
 def shear_factors(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:

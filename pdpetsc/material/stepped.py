@@ -41,6 +41,11 @@ class Step(NamedTuple):
     frame: Any
     response: Any
 
+    @property
+    def dim(self) -> int:
+        """Return the number of rows of the deformation gradients."""
+        return int(self.F.shape[-1])
+
 
 @dataclass(frozen=True)
 class SteppedMaterial(HistoryMaterial):
@@ -75,10 +80,10 @@ class SteppedMaterial(HistoryMaterial):
     def _energy(self, step: Step) -> Float: ...
 
     @abstractmethod
-    def _remember(self, step: Step, dim: int) -> None: ...
+    def _remember(self, step: Step) -> None: ...
 
     @abstractmethod
-    def _hidden_strain(self, step: Step, dim: int) -> Float:
+    def _hidden_strain(self, step: Step) -> Float:
         """Return the sum of the hidden logarithmic strains (n,) [-]."""
 
     @property
@@ -112,17 +117,17 @@ class SteppedMaterial(HistoryMaterial):
 
         def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
             for step in self._steps(F, select, constants[-1], history, kind):
-                self._remember(step, dim)
+                self._remember(step)
 
         return HistoryKernels(stress, tangent, energy, commit)
 
     def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return the out-of-plane stretch in plane stress, the product of both lateral ones in 1D, else 1 (n,) [-]."""
-        dim, kind = F.shape[-1], self.kind(F.shape[-1])
+        kind = self.kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
             for step in self._steps(F, np.arange(len(F)), dt, history, kind):
-                across[step.points] = np.exp(self._hidden_strain(step, dim))
+                across[step.points] = np.exp(self._hidden_strain(step))
         return across
 
     def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:

@@ -204,7 +204,9 @@ class AtTip(Quantity):
         return ""
 
 
-def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool) -> float:
+def _work_of_loads(
+    solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool
+) -> float:
     """Return ``- int q f . v,1`` of loads f on this rank, per thickness.
 
     ``moved`` (n_owned, 2) is v along the axes of the frame, ``gradient`` its derivative along the crack. For uniform
@@ -216,40 +218,24 @@ def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gr
     return float(work) / solution.problem.body.thickness
 
 
-@dataclass(frozen=True)
-class _Moving:
-    """Velocities of the owned particles and their slopes, for the kinetic energy in the integrals.
+def _of_motion(solution: Solution, domain: Domain) -> list[float]:
+    """Return ``- int (rho v^2 / 2 q,1 + q rho v . v,1) dA`` of each frame on this rank (collective).
 
-    Attributes
-    ----------
-    solution : Solution
-        A state of a motion.
-    mass : (n_owned,) float64
-        Masses over the thickness [mass / length].
-    v, slopes : (n_owned, 2), (n_owned, 2, 2) float64
-        Velocity [length / time], and its derivative by position [1 / time].
+    It is the part of the kinetic energy, zero unless the crack grows.
     """
-
-    solution: Solution
-    mass: Float
-    v: Float
-    slopes: Float
-
-    @classmethod
-    def of(cls, solution: Solution) -> _Moving:
-        """Return the velocities of a state (collective)."""
-        body, inertia = solution.problem.body, solution.problem.inertia
-        assert inertia is not None
-        v, rows = velocity(solution), np.zeros_like(solution.unknowns)
-        rows[: len(v)] = v
-        return cls(solution, inertia.mass / body.thickness, v, integrands_of(solution).slopes(body.with_ghosts(rows)))
-
-    def of_frame(self, domain: Domain, frame: Frame) -> float:
-        """Return ``- int (rho v^2 / 2 q,1 + q rho v . v,1) dA`` on this rank: zero unless the crack grows."""
-        q, slope = domain.weight(frame, self.solution.x)
-        along = self.slopes @ frame.turn[0]
-        each = 0.5 * (self.v**2).sum(axis=1) * slope[:, 0] + q * (self.v * along).sum(axis=1)
-        return -float(self.mass @ each)
+    body, inertia = solution.problem.body, solution.problem.inertia
+    if inertia is None:
+        return [0.0] * len(domain.frames)
+    v, rows = velocity(solution), np.zeros_like(solution.unknowns)
+    rows[: len(v)] = v
+    mass, slopes = inertia.mass / body.thickness, integrands_of(solution).slopes(body.with_ghosts(rows))
+    found = []
+    for frame in domain.frames:
+        q, slope = domain.weight(frame, solution.x)
+        along = slopes @ frame.turn[0]
+        each = 0.5 * (v**2).sum(axis=1) * slope[:, 0] + q * (v * along).sum(axis=1)
+        found.append(-float(mass @ each))
+    return found
 
 
 @dataclass(frozen=True)
@@ -265,12 +251,10 @@ class _Release(AtTip):
     def _of_loads(self, solution: Solution, domain: Domain) -> float:
         """Return ``- int q f . H e dA`` of loads and inertia on this rank, in a motion with the kinetic energy."""
         found, fields, (on_faces, _) = 0.0, continuum(solution), loads_in(solution, domain)
-        moving = None if solution.problem.inertia is None else _Moving.of(solution)
-        for frame in domain.frames:
+        for frame, of_motion in zip(domain.frames, _of_motion(solution, domain), strict=True):
             H, u = frame.tensors(fields.H)[:, :, 0], solution.u @ frame.turn.T
-            found += _of_loads(solution, domain, frame, u, H, on_faces)
-            if moving is not None:
-                found += moving.of_frame(domain, frame)
+            found += _work_of_loads(solution, domain, frame, u, H, on_faces)
+            found += of_motion
         return found
 
     def _with_place(self, solution: Solution, domain: Domain, rest: float, size: float) -> Number:
@@ -465,7 +449,7 @@ class StressIntensity(AtTip):
             flow = np.einsum("pim,pi->pm", P, v) + np.einsum("pim,pi->pm", s, H[:, :, 0])
             flow[:, 0] -= np.einsum("pik,pik->p", s, H - eps)
             flow_in = domain.area * np.einsum("pm,pm->p", flow, slope)
-            sums += [flow_in.sum() + _of_loads(solution, domain, frame, w, v, on_faces), np.abs(flow_in).sum()]
+            sums += [flow_in.sum() + _work_of_loads(solution, domain, frame, w, v, on_faces), np.abs(flow_in).sum()]
             by_axes = [frame.tensors(np.einsum("pabm,m->pab", changes, axis)) for axis in frame.turn]
             densities.append(np.stack([np.einsum("pik,pik->p", s, along) for along in by_axes], axis=1))
             less = softer * strain_energy(P, westergaard_slope(at, self.mode), law)

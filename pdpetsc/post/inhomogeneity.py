@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -47,21 +46,25 @@ class OfPlace:
         Factor on the moduli, of position and of temperature [-].
     temperature : (n_local,) float64 or None
         Temperature, if a law depends on it in another way.
-    given : tuple of (str, (n_local,) float64)
-        Those that do not depend on temperature, with their names: eigenstrains, and graded moduli.
+    graded : (n_local,) float64
+        Factor on the moduli by position alone [-].
+    eigenstrain : (n_local, 4) float64 or None
+        Declared eigenstrain, as ``strain`` [-].
     """
 
     strain: Float | None
     factor: Float
     temperature: Float | None
-    given: tuple[tuple[str, Float], ...]
+    graded: Float
+    eigenstrain: Float | None
 
     @property
-    def graded(self) -> Float:
-        """Return the factor on the moduli by position alone (n_local,) [-]."""
-        return self.given[0][1]
+    def without_temperature(self) -> list[tuple[str, Float]]:
+        """Return the numbers (n_local,) that do not depend on temperature, with their names."""
+        strains = [] if self.eigenstrain is None else [(STRAIN, column) for column in self.eigenstrain.T]
+        return [(MODULI, self.graded), *strains]
 
-    @cached_property
+    @property
     def columns(self) -> list[tuple[str, Float]]:
         """Return all its numbers (n_local,) with their names."""
         found = [] if self.strain is None else [(STRAIN, column) for column in self.strain.T]
@@ -82,15 +85,15 @@ def _of_place(solution: Solution) -> OfPlace:
     _, graded = integrands.materials()
     factor = solution.with_ghosts(graded)
     if expansion is None:
-        return OfPlace(None, factor, None, ((MODULI, factor),))
+        return OfPlace(None, factor, None, factor, None)
     of_temperature = expansion.factor
     whole = factor if of_temperature is None else solution.with_ghosts(graded * of_temperature)
     own = integrands.strain_of_body(expansion)
-    given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain).T))
+    eigenstrain = _shown(solution, expansion.eigenstrain)
     by_law = any(one is not None and one.law is not None for one in expansion.of.thermals)
     temperature = expansion.temperature if by_law else None
     local = None if temperature is None else solution.with_ghosts(temperature)
-    return OfPlace(_shown(solution, own), whole, local, given)
+    return OfPlace(_shown(solution, own), whole, local, factor, eigenstrain)
 
 
 def _shown(solution: Solution, own: Float) -> Float:
@@ -184,7 +187,7 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
     place, reach = of_place(solution), local_horizon(solution)[inside]
     start = min(SINGULAR * solution.largest(reach, 0.0), SINGULAR_MOST * outer)
     distance = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0)
-    what = _jumping(solution, inside, inside, place.given)
+    what = _jumping(solution, inside, inside, place.without_temperature)
     if what or solution.problem.body.expansion is None:
         return what
     return _jumping(solution, inside, inside & (distance > start), place.columns) or _steep(

@@ -196,11 +196,9 @@ def frequencies(
     kinds = [("SA", unstable), ("LA", count)] if unstable else [("LA", count)]
     added = _rigid_bodies(problem).mass_roots(problem.state(u, t))
     values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds, added)
-    found = []
-    for value, shape in zip(values, shapes, strict=True):
-        found.append((float(np.sign(value) / (2.0 * np.pi * np.sqrt(abs(value)))), shape))
-    found.sort(key=lambda one: one[0])
-    return [f for f, _ in found[:count]], [shape for _, shape in found[:count]]
+    found = np.sign(values) / (2.0 * np.pi * np.sqrt(np.abs(values)))
+    lowest = np.argsort(found, kind="stable")[:count]
+    return found[lowest].tolist(), [shapes[number] for number in lowest]
 
 
 def response(

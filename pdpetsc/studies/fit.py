@@ -153,23 +153,21 @@ class _Search:
 
     def least(self, x: Float) -> Float:
         """Return the shares at the end of least squares; raise SolveError if it does not converge."""
-        found = self._minimise(x, self.jacobian, (1e-9, 1e-5, 1e-9), max(self._most, 1))
+        found = self._minimise(x, self.jacobian, ftol=1e-9, xtol=1e-5, gtol=1e-9, max_nfev=max(self._most, 1))
         if found.status <= 0:
             raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
         return np.asarray(found.x)
 
     def refined(self, x: Float) -> Float:
         """Return the shares at the end of least squares with central differences, after a few runs."""
-        return np.asarray(self._minimise(x, self.central_jacobian, (1e-12, 1e-7, 1e-12), AGAIN).x)
+        found = self._minimise(x, self.central_jacobian, ftol=1e-12, xtol=1e-7, gtol=1e-12, max_nfev=AGAIN)
+        return np.asarray(found.x)
 
-    def _minimise(self, x: Float, jacobian: Callable[[Float], Float], tolerances: tuple[float, ...], most: int) -> Any:
+    def _minimise(self, x: Float, jacobian: Callable[[Float], Float], **given: float) -> Any:
+        """Return the result of SciPy from the shares ``x``; further arguments are its tolerances and its limit."""
         from scipy.optimize import least_squares
 
-        ftol, xtol, gtol = tolerances
-        return least_squares(
-            self.residual, x, jac=jacobian, bounds=(0.0, 1.0), method="trf", ftol=ftol, xtol=xtol, gtol=gtol,
-            max_nfev=most,
-        )  # fmt: skip
+        return least_squares(self.residual, x, jac=jacobian, bounds=(0.0, 1.0), method="trf", **given)
 
     def lower(self, x: Float, step: Float) -> Float | None:
         """Return shares along a step with a smaller sum of squares; None if there are none.
@@ -196,11 +194,10 @@ class _Search:
 
     def failing(self, x: Float) -> list[str]:
         """Return the parameters for which differences fail because neighbours have no curve."""
-        sides = [self._moved(x, j, step) for j in range(len(x)) for step in (STEP, -STEP)]
-        inside = [(k // 2, side) for k, side in enumerate(sides) if np.all((side >= 0.0) & (side <= 1.0))]
-        names = list(self.ranges)
+        sides = [(name, self._moved(x, j, step)) for j, name in enumerate(self.ranges) for step in (STEP, -STEP)]
+        inside = [(name, side) for name, side in sides if np.all((side >= 0.0) & (side <= 1.0))]
         found = zip(inside, self.at([side for _, side in inside]), strict=True)
-        return list(dict.fromkeys(names[j] for (j, _), point in found if point.failure))
+        return list(dict.fromkeys(name for (name, _), point in found if point.failure))
 
     def jacobian(self, x: Float) -> Float:
         """Return the derivatives of the residuals by the shares (m, n), by one-sided differences."""
@@ -213,26 +210,21 @@ class _Search:
     def _derivatives(self, x: Float, central: Mask) -> Float:
         here = self.at([x])[0]
         steps = np.where(x + STEP <= 1.0, STEP, -STEP)
-        sides = [[self._moved(x, j, steps[j])] for j in range(len(x))]
-        points = [[point] for point in self.at([side for (side,) in sides])]
+        first = self.at([self._moved(x, j, step) for j, step in enumerate(steps)])
         # The other side of a parameter is run for central differences, or if the first side failed.
-        back = [j for j, (point,) in enumerate(points) if point.failure or central[j]]
-        for j, point in zip(back, self.at([self._moved(x, j, -steps[j]) for j in back]), strict=True):
-            sides[j].append(self._moved(x, j, -steps[j]))
-            points[j].append(point)
+        back = [j for j, point in enumerate(first) if point.failure or central[j]]
+        other = dict(zip(back, self.at([self._moved(x, j, -steps[j]) for j in back]), strict=True))
         J = np.empty((len(self.curve.x), len(x)))
         for j, name in enumerate(self.ranges):
-            shares = [side[j] for side, point in zip(sides[j], points[j], strict=True) if not point.failure]
-            values = [np.asarray(point.values) for point in points[j] if not point.failure]
-            if not shares:
+            sides = [(x[j] + steps[j], first[j])] + ([(x[j] - steps[j], other[j])] if j in other else [])
+            ends = [(share, point) for share, point in sides if not point.failure]
+            if not ends:
                 raise SolveError(
                     f"Runs on both sides of {name} = {self.values(x)[name]:g} give no curve, so it has no derivative "
-                    f"there: {points[j][0].failure}"
+                    f"there: {first[j].failure}"
                 )
-            if len(shares) == 1:
-                shares.append(x[j])
-                values.append(np.asarray(here.values))
-            J[:, j] = np.diff(values, axis=0)[0] / np.diff(shares)[0] / self.curve.scale
+            (share, point), (end, last) = [*ends, (x[j], here)][:2]
+            J[:, j] = (np.asarray(last.values) - np.asarray(point.values)) / (end - share) / self.curve.scale
         return J
 
     @staticmethod

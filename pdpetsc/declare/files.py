@@ -5,9 +5,9 @@ Every rank reads the whole file and keeps its own part of the particles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -98,10 +98,9 @@ class Mesh(Particles):
         mesh = self._read()
         if _of_spheres(mesh):
             return self._spheres(mesh).chunk(part, parts)
-        mesh, points, blocks = self._cells(mesh)
-        volume, x = _volumes_and_centroids(Path(self.path), points, blocks)
-        volume *= self._depth(points)
-        return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
+        body = self._body(mesh)
+        volume, x = body.volumes_and_centroids(Path(self.path))
+        return Arrays(x, volume * self._depth(body), body.sets, self.thickness).chunk(part, parts)
 
     @property
     def irregular(self) -> bool:
@@ -123,12 +122,12 @@ class Mesh(Particles):
         mesh = self._read()
         if _of_spheres(mesh):
             return None
-        mesh, points, blocks = self._cells(mesh)
-        if points.shape[1] < 3:
+        body = self._body(mesh)
+        if body.dim < 3:
             return None
         if part > 0:
             return np.empty((0, 3, 3))
-        found = facets(points, blocks)
+        points, found = body.points, body.facets
         corners, area = found.corners[found.free], found.area[found.free]
         with_four = corners[:, 3] >= 0
         halves = points[np.concatenate([corners[:, :3], corners[with_four][:, [0, 2, 3]]])]
@@ -142,23 +141,23 @@ class Mesh(Particles):
         mesh = self._read()
         if _of_spheres(mesh):
             return super().cells()
-        _, points, blocks = self._cells(mesh)
+        body = self._body(mesh)
         parts = []
-        for block in blocks:
-            inner = middles(points, block) if block.dim == 2 else None
+        for block in body.blocks:
+            inner = middles(body.points, block) if block.dim == 2 else None
             bent = np.stack([block.corners, *([] if inner is None else [inner[:, :, 0].T])], axis=2)
             parts.append(bent.reshape(len(block.nodes), -1))
-        found = Cells.of(points, parts, np.arange(sum(len(part) for part in parts)))
+        found = Cells.of(body.points, parts, np.arange(body.count))
         nodes, corners = np.unique(found.corners, return_inverse=True)
-        return replace(found, points=points[nodes], corners=corners)
+        return replace(found, points=body.points[nodes], corners=corners)
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of particles, and the facets of all of them."""
-        mesh, points, blocks = self._cells(self._read())
-        found = facets(points, blocks)
+        body = self._body(self._read())
+        points, found = body.points, body.facets
         free = found.free
         if cracks:
-            _, x = _volumes_and_centroids(Path(self.path), points, blocks)
+            _, x = body.volumes_and_centroids(Path(self.path))
             one, other = found.shared
             cut = np.zeros(len(one), dtype=bool)
             for crack in cracks:
@@ -166,13 +165,12 @@ class Mesh(Particles):
             free[one[cut]] = free[other[cut]] = True
         at = np.flatnonzero(free)
         x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at], found.middle[at])
-        tags = {name: flags[at[facet]] for name, flags in _tags(mesh, found, blocks).items()}
-        count = sum(len(block.nodes) for block in blocks)
+        tags = {name: flags[at[facet]] for name, flags in body.tags.items()}
         corners = None
-        if points.shape[1] == 3 and len(facet) == len(at):  # all are flat
+        if body.dim == 3 and len(facet) == len(at):  # all are flat
             turn = found.corners[at]
             corners = points[np.where(turn < 0, turn[:, [2]], turn)]
-        return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags, corners)
+        return body.count, Facets(x, area * self._depth(body), found.cell[at[facet]], tags, corners)
 
     def _spheres(self, mesh: MeshData) -> Arrays:
         """Return the particles of a mesh of spheres with volumes."""
@@ -193,8 +191,8 @@ class Mesh(Particles):
     def _read(self) -> MeshData:
         return read_mesh(Path(self.path), self.format)
 
-    def _cells(self, mesh: MeshData) -> tuple[MeshData, Float, list[Block]]:
-        """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
+    def _body(self, mesh: MeshData) -> _BodyMesh:
+        """Return the mesh with the cells that become particles."""
         if _of_spheres(mesh):
             raise CaseError(
                 f"{self.path} has spheres, which have no faces and corners. Use pd.Mesh with weights=pd.Standard(), "
@@ -212,10 +210,10 @@ class Mesh(Particles):
                 f"{self.path} has cells of {dim} dimensions that are not in a plane of constant z, or on a line along "
                 "x. Turn the mesh."
             )
-        return mesh, points, [block for block in mesh.blocks if block.dim == dim]
+        return _BodyMesh(mesh, points)
 
-    def _depth(self, points: Float) -> float:
-        return self.thickness if points.shape[1] < 3 else 1.0
+    def _depth(self, body: _BodyMesh) -> float:
+        return self.thickness if body.dim < 3 else 1.0
 
 
 @dataclass(frozen=True)
@@ -242,21 +240,20 @@ class MeshNodes(Mesh):
     >>> plate = pd.MeshNodes("plate.msh", thickness=2.0)
     """
 
-    def _cells(self, mesh: MeshData) -> tuple[MeshData, Float, list[Block]]:
+    def _body(self, mesh: MeshData) -> _BodyMesh:
         """Return the same as ``Mesh``, with the corner nodes of the cells only."""
-        mesh, points, chosen = super()._cells(mesh)
-        mesh = replace(mesh, blocks=[Block(block.kind, block.corners) for block in mesh.blocks])
-        return mesh, points, [block for block in mesh.blocks if block.dim == chosen[0].dim]
+        blocks = [Block(block.kind, block.corners) for block in mesh.blocks]
+        return _BodyMesh(replace(mesh, blocks=blocks), super()._body(mesh).points)
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the corner nodes."""
-        mesh, points, blocks = self._cells(self._read())
-        _volumes_and_centroids(Path(self.path), points, blocks)  # refuses cells without volume
-        nodes, volume = shares_of_nodes(points, blocks)
-        sets = _node_sets(mesh, points, blocks, nodes)
-        found = Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
+        body = self._body(self._read())
+        body.volumes_and_centroids(Path(self.path))  # refuses cells without volume
+        nodes, volume = shares_of_nodes(body.points, body.blocks)
+        sets = body.node_sets(nodes)
+        found = Arrays(body.points[nodes], volume * self._depth(body), sets, self.thickness).chunk(part, parts)
         rows = slice(*ends_of_part(part, parts, len(nodes)))
-        return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
+        return replace(found, spacing=edge_lengths(body.points, body.blocks)[nodes][rows])
 
     on_surface = True
 
@@ -277,14 +274,14 @@ class MeshNodes(Mesh):
                 "cracks= needs pd.Mesh: pd.MeshNodes has no faces of cracks, which loads without a normal and "
                 "conforming weights need."
             )
-        mesh, points, blocks = self._cells(self._read())
-        found = facets(points, blocks)
+        body = self._body(self._read())
+        found = body.facets
         free = np.flatnonzero(found.free)
-        node, x, area, facet, outline = parts_of_facets(points, found.corners[free], found.area[free])
-        nodes, _ = shares_of_nodes(points, blocks)
-        tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, blocks).items()}
-        corners = outline if points.shape[1] == 3 else None
-        return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags, corners)
+        node, x, area, facet, outline = parts_of_facets(body.points, found.corners[free], found.area[free])
+        nodes, _ = shares_of_nodes(body.points, body.blocks)
+        tags = {name: flags[free[facet]] for name, flags in body.tags.items()}
+        corners = outline if body.dim == 3 else None
+        return len(nodes), Facets(x, area * self._depth(body), np.searchsorted(nodes, node), tags, corners)
 
 
 def _of_spheres(mesh: MeshData) -> bool:
@@ -300,30 +297,6 @@ def _whole_surface(mesh: Mesh, version: tuple[int, ...] | None) -> tuple[int, Fa
     The result is cached while the file has the same ``version``, because every traction needs it.
     """
     return mesh._facets(())
-
-
-def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:
-    volumes, centroids = [], []
-    for block in blocks:
-        with np.errstate(all="ignore"):
-            volume, moment = volumes_and_moments(points, block)
-            box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
-            x = moment / volume[:, None]
-            none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
-            wrong = np.flatnonzero(tangled(points, block))
-        if len(wrong) and not len(none):
-            raise CaseError(
-                f"{len(wrong)} cells of kind {block.kind} in {path} are inverted at a corner, the first at "
-                f"{points[block.corners[wrong[0]]].mean(axis=0)}. Reorder their nodes, or repair the mesh."
-            )
-        if len(none):
-            raise CaseError(
-                f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
-                f"{points[block.corners[none[0]]].mean(axis=0)}. Remove them, or repair the mesh."
-            )
-        volumes.append(np.abs(volume))
-        centroids.append(x)
-    return np.concatenate(volumes), np.concatenate(centroids)
 
 
 @dataclass(frozen=True)
@@ -348,73 +321,141 @@ class _Named:
     nodes: dict[str, GlobalIndex]
 
 
-def _named(mesh: MeshData, blocks: list[Block], surface: Callable[[], CellFacets]) -> _Named:
-    """Return the named entities of a mesh; ``surface`` returns all facets of its cells, if some have names."""
-    number, dim = _particles(mesh, blocks), blocks[0].dim
-    cells, behind, flags = dict[str, GlobalIndex](), dict[str, GlobalIndex](), dict[str, Mask]()
-    nodes: dict[str, list[GlobalIndex]] = {name: [members] for name, members in mesh.node_sets.items()}
-    for name, members in mesh.cell_sets.items():
-        own = number[members][number[members] >= 0]
-        if len(own):
-            cells[name] = own
+@dataclass(frozen=True)
+class _BodyMesh:
+    """A mesh whose cells of the highest dimension become particles.
 
-    def add(name: str, particles: GlobalIndex, on: Mask) -> None:
-        label = f"{name} facets" if name in cells else name
-        behind[label] = np.concatenate([behind.get(label, particles[:0]), particles])
-        flags[label] = flags.get(label, False) | on
+    Attributes
+    ----------
+    mesh : MeshData
+        All cells.
+    points : (n_points, dim) float64
+        Its points in the dimension of the body [length].
+    """
 
-    for name, members in mesh.cell_sets.items():
-        for block, mine in _by_block(mesh.blocks, members):
-            if len(mine) and block.dim == dim - 1:
-                on = having(facet_keys(block.corners[mine]), surface())
-                add(name, surface().cell[on], on)
-            elif len(mine) and block.dim < dim - 1:
-                nodes.setdefault(name, []).append(np.ravel(block.nodes[mine]))
-    for name, sides in mesh.side_sets.items():
-        particle, place = number[sides[:, 0]], sides[:, 1]
-        mine = particle >= 0
-        add(name, particle[mine], on_sides(particle[mine], place[mine], surface()))
-    if not cells:
-        belongs = np.repeat(np.arange(len(blocks)), [len(block.nodes) for block in blocks])
-        for b in range(len(blocks)):
-            if f"group_{b + 1}" not in behind:
-                cells[f"group_{b + 1}"] = np.flatnonzero(belongs == b)
-    taken = {name for name, particles in (cells | behind).items() if len(particles)}
-    labels = {name: f"{name} nodes" if name in taken else name for name in nodes}
-    return _Named(cells, behind, flags, {labels[name]: np.concatenate(parts) for name, parts in nodes.items()})
+    mesh: MeshData
+    points: Float
 
+    @property
+    def dim(self) -> int:
+        """Return the number of coordinates."""
+        return int(self.points.shape[1])
 
-def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]:
-    """Return the sets of particles: by cells, by facets and by nodes."""
-    count = sum(len(block.nodes) for block in blocks)
-    named = _named(mesh, blocks, cache(lambda: facets(points, blocks)))
-    members = dict(named.cells | named.behind)
-    for name, nodes in named.nodes.items():
-        inside = np.zeros(len(points), dtype=bool)
-        inside[nodes] = True
-        members[name] = np.flatnonzero(np.concatenate([inside[block.nodes].any(axis=1) for block in blocks]))
-    return {name: _flags(count, particles) for name, particles in members.items() if len(particles)}
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Return the cells that become particles."""
+        return [block for block in self.mesh.blocks if block.dim == self.dim]
 
+    @property
+    def count(self) -> int:
+        """Return the number of these cells."""
+        return sum(len(block.nodes) for block in self.blocks)
 
-def _tags(mesh: MeshData, found: CellFacets, blocks: list[Block]) -> dict[str, Mask]:
-    """Return flags of the facets of cells for each name of facets or nodes of a mesh."""
-    named = _named(mesh, blocks, lambda: found)
-    tags = {name: with_corners_in(nodes, found) for name, nodes in named.nodes.items()}
-    return tags | {name.removesuffix(" facets"): flags for name, flags in named.facets.items()} | named.facets
+    @cached_property
+    def facets(self) -> CellFacets:
+        """Return all facets of these cells."""
+        return facets(self.points, self.blocks)
 
+    def volumes_and_centroids(self, path: Path) -> tuple[Float, Float]:
+        """Return the volumes (n,) and centroids (n, dim) of the cells of a file.
 
-def _node_sets(mesh: MeshData, points: Float, blocks: list[Block], nodes: GlobalIndex) -> dict[str, Mask]:
-    """Return flags of the corner nodes for each set of cells, facets or nodes of a mesh."""
-    surface = cache(lambda: facets(points, blocks))
-    named = _named(mesh, blocks, surface)
-    members = dict(named.nodes)
-    for name, cells in named.cells.items():
-        members[name] = np.concatenate([np.ravel(block.corners[mine]) for block, mine in _by_block(blocks, cells)])
-    for name, flags in named.facets.items():
-        corners = np.ravel(surface().corners[flags])
-        members[name] = corners[corners >= 0]
-    found = {name: _flags(len(points), of)[nodes] for name, of in members.items()}
-    return {name: flags for name, flags in found.items() if flags.any()}
+        Raises
+        ------
+        CaseError
+            A cell has no volume or is inverted.
+        """
+        volumes, centroids = [], []
+        for block in self.blocks:
+            with np.errstate(all="ignore"):
+                volume, moment = volumes_and_moments(self.points, block)
+                box = np.prod(np.ptp(self.points[block.corners], axis=1), axis=1)
+                x = moment / volume[:, None]
+                none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
+                wrong = np.flatnonzero(tangled(self.points, block))
+            if len(wrong) and not len(none):
+                raise CaseError(
+                    f"{len(wrong)} cells of kind {block.kind} in {path} are inverted at a corner, the first at "
+                    f"{self.points[block.corners[wrong[0]]].mean(axis=0)}. Reorder their nodes, or repair the mesh."
+                )
+            if len(none):
+                raise CaseError(
+                    f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
+                    f"{self.points[block.corners[none[0]]].mean(axis=0)}. Remove them, or repair the mesh."
+                )
+            volumes.append(np.abs(volume))
+            centroids.append(x)
+        return np.concatenate(volumes), np.concatenate(centroids)
+
+    @property
+    def sets(self) -> dict[str, Mask]:
+        """Return the sets of particles: by cells, by facets and by nodes."""
+        members = dict(self.named.cells | self.named.behind)
+        for name, nodes in self.named.nodes.items():
+            inside = _flags(len(self.points), nodes)
+            members[name] = np.flatnonzero(np.concatenate([inside[block.nodes].any(axis=1) for block in self.blocks]))
+        return {name: _flags(self.count, particles) for name, particles in members.items() if len(particles)}
+
+    @property
+    def tags(self) -> dict[str, Mask]:
+        """Return flags of the facets for each name of facets or nodes."""
+        named = self.named
+        tags = {name: with_corners_in(nodes, self.facets) for name, nodes in named.nodes.items()}
+        return tags | {name.removesuffix(" facets"): flags for name, flags in named.facets.items()} | named.facets
+
+    def node_sets(self, nodes: GlobalIndex) -> dict[str, Mask]:
+        """Return flags of corner nodes for each set of cells, facets or nodes."""
+        members = dict(self.named.nodes)
+        for name, cells in self.named.cells.items():
+            members[name] = np.concatenate(
+                [np.ravel(block.corners[mine]) for block, mine in _by_block(self.blocks, cells)]
+            )
+        for name, flags in self.named.facets.items():
+            corners = np.ravel(self.facets.corners[flags])
+            members[name] = corners[corners >= 0]
+        found = {name: _flags(len(self.points), of)[nodes] for name, of in members.items()}
+        return {name: flags for name, flags in found.items() if flags.any()}
+
+    @cached_property
+    def named(self) -> _Named:
+        """Return the named entities."""
+        mesh, number = self.mesh, self._particles()
+        cells, behind, flags = dict[str, GlobalIndex](), dict[str, GlobalIndex](), dict[str, Mask]()
+        nodes: dict[str, list[GlobalIndex]] = {name: [members] for name, members in mesh.node_sets.items()}
+        for name, members in mesh.cell_sets.items():
+            own = number[members][number[members] >= 0]
+            if len(own):
+                cells[name] = own
+
+        def add(name: str, particles: GlobalIndex, on: Mask) -> None:
+            label = f"{name} facets" if name in cells else name
+            behind[label] = np.concatenate([behind.get(label, particles[:0]), particles])
+            flags[label] = flags.get(label, False) | on
+
+        for name, members in mesh.cell_sets.items():
+            for block, mine in _by_block(mesh.blocks, members):
+                if len(mine) and block.dim == self.dim - 1:
+                    on = having(facet_keys(block.corners[mine]), self.facets)
+                    add(name, self.facets.cell[on], on)
+                elif len(mine) and block.dim < self.dim - 1:
+                    nodes.setdefault(name, []).append(np.ravel(block.nodes[mine]))
+        for name, sides in mesh.side_sets.items():
+            particle, place = number[sides[:, 0]], sides[:, 1]
+            mine = particle >= 0
+            add(name, particle[mine], on_sides(particle[mine], place[mine], self.facets))
+        if not cells:
+            belongs = np.repeat(np.arange(len(self.blocks)), [len(block.nodes) for block in self.blocks])
+            for b in range(len(self.blocks)):
+                if f"group_{b + 1}" not in behind:
+                    cells[f"group_{b + 1}"] = np.flatnonzero(belongs == b)
+        taken = {name for name, particles in (cells | behind).items() if len(particles)}
+        labels = {name: f"{name} nodes" if name in taken else name for name in nodes}
+        return _Named(cells, behind, flags, {labels[name]: np.concatenate(parts) for name, parts in nodes.items()})
+
+    def _particles(self) -> GlobalIndex:
+        """Return the particle of every cell of the file, -1 for cells of lower dimension."""
+        blocks = self.mesh.blocks
+        own = np.repeat([block.dim == self.dim for block in blocks], [len(block.nodes) for block in blocks])
+        return np.where(own, np.cumsum(own) - 1, -1)
 
 
 def _by_block(blocks: Sequence[Block], cells: GlobalIndex) -> Iterator[tuple[Block, GlobalIndex]]:
@@ -430,15 +471,3 @@ def _flags(count: int, members: GlobalIndex) -> Mask:
     flags = np.zeros(count, dtype=bool)
     flags[members] = True
     return flags
-
-
-def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:
-    """Return the particle of every cell of the file, -1 for cells of lower dimension."""
-    numbers, before = [], 0
-    for block in mesh.blocks:
-        if any(block is chosen for chosen in blocks):
-            numbers.append(before + np.arange(len(block.nodes)))
-            before += len(block.nodes)
-        else:
-            numbers.append(np.full(len(block.nodes), -1))
-    return np.concatenate(numbers)

@@ -64,14 +64,13 @@ def write_report(folder: Path, field: str | None = None, component: str = "", sc
     """
     summary = read_summary(folder)
     with refusing_damage(f"{folder} holds files that are damaged or not of a run"):
-        text = _page(folder, summary, field, component, scale)
+        text = _page(folder, summary, _body_picture(folder, field, component, scale))
     path = folder / FILE
     write_whole(path, text, wait=False)
     return path
 
 
-def _page(folder: Path, summary: Mapping[str, Any], field: str | None, component: str, scale: float) -> str:
-    labels = Labels.of(summary)
+def _page(folder: Path, summary: Mapping[str, Any], picture: str) -> str:
     history = read_history(folder) if (folder / "history.csv").exists() else {}
     title = folder.resolve().name
     status = str(summary.get("status"))
@@ -81,7 +80,7 @@ def _page(folder: Path, summary: Mapping[str, Any], field: str | None, component
     counts = [_counted(summary, name, words) for name, words in counted]
     versions = summary.get("versions") or {}
     sections = [
-        ("out", "What came out", _came_out(folder, summary, labels, history, field, component, scale)),
+        ("out", "What came out", _came_out(summary, history, picture)),
         ("asked", "What was asked", _asked(summary)),
         ("convergence", "Convergence", _convergence(summary)),
         ("timing", "Time and memory", _timing(summary)),
@@ -99,11 +98,8 @@ def _page(folder: Path, summary: Mapping[str, Any], field: str | None, component
     )
 
 
-def _came_out(
-    folder: Path, summary: Mapping[str, Any], labels: Labels, history: Mapping[str, Any], field: str | None,
-    component: str, scale: float,
-) -> str:  # fmt: skip
-    parts = [_notes(summary)]
+def _came_out(summary: Mapping[str, Any], history: Mapping[str, Any], picture: str) -> str:
+    parts, labels = [_notes(summary)], Labels.of(summary)
     results = summary.get("results") or {}
     if results:
         parts.append(_table(["result", "value"], [[name, _number(value)] for name, value in results.items()]))
@@ -111,7 +107,7 @@ def _came_out(
     if checks:
         heads = ["check", "expected", "got", "difference", "tolerance", "", "source"]
         parts.append("<h3>Checks</h3>" + _table(heads, map(_checked, checks)))
-    parts.append(_body_picture(folder, field, component, scale))
+    parts.append(picture)
     if len(history) > 2 and len(history["t"]):
         figure = curve_figure(history, labels)
         if figure is not None:

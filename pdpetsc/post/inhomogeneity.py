@@ -197,15 +197,16 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
 
 def _jumping(solution: Solution, inside: Mask, zone: Mask, columns: Sequence[tuple[str, Float]]) -> str:
     """Return the names of numbers of the local particles that jump in a zone of those inside (collective)."""
-    pairs, xi, length, near, least = _bonds_in(solution, zone)
-    far = length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
+    bonds = _bonds_in(solution, zone)
+    i, j = bonds.pairs.T
+    near, far = bonds.nearest, bonds.length > 1.0 / SMOOTH * bonds.least * (1.0 - 1e-9)
     some_far = solution.largest(np.count_nonzero(far)) > 0.0
     for name, column in columns:
         low, high = range_on_ranks(solution, column[: len(inside)][inside])
         if not _differ(low, high):
             continue
-        slope = integrands_of(solution).slopes(column[:, None])[pairs[:, 0], 0]
-        rest = np.abs(column[pairs[:, 1]] - column[pairs[:, 0]] - np.einsum("bi,bi->b", slope, xi))
+        slope = integrands_of(solution).slopes(column[:, None])[i, 0]
+        rest = np.abs(column[j] - column[i] - np.einsum("bi,bi->b", slope, bonds.xi))
         close, wide = solution.largest(rest[near], 0.0), solution.largest(rest[far], 0.0)
         allowed = max(SMOOTH * wide, NOTHING * (high - low)) if some_far else ROUGH * (high - low)
         if close > allowed:
@@ -218,16 +219,13 @@ def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
 
     The reference are changes in the ring around the core, which begins at a distance ``start`` from the tip.
     """
-    slopes = []
-    shortest = np.inf
-    for zone in (core, ring):
-        pairs, _, length, near, _ = _bonds_in(solution, zone)
-        slopes.append((pairs[near], length[near]))
-        shortest = min(shortest, solution.smallest(length))
+    zones = [_bonds_in(solution, zone) for zone in (core, ring)]
+    shortest = min(solution.smallest(bonds.length) for bonds in zones)
     for name, column in of_place(solution).columns:
         low, high = range_on_ranks(solution, column[: len(core)][core | ring])
         within, around = (
-            solution.largest(np.abs(column[p[:, 1]] - column[p[:, 0]]) / length, 0.0) for p, length in slopes
+            solution.largest((np.abs(np.diff(column[bonds.pairs])[:, 0]) / bonds.length)[bonds.nearest], 0.0)
+            for bonds in zones
         )
         noise = max(SAME * max(abs(high), abs(low)), NOTHING * (high - low))
         if within > STEEPER * np.sqrt(start / shortest) * around + noise / shortest:
@@ -235,8 +233,33 @@ def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
     return ""
 
 
-def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float, Mask, Float]:
-    """Return intact bonds of owned particles, vectors, lengths, True for nearest ones, and smallest lengths."""
+@dataclass(frozen=True)
+class _Bonds:
+    """Intact bonds of owned particles.
+
+    Attributes
+    ----------
+    pairs : (n, 2) int64
+        Owned particle and its neighbour.
+    xi, length : (n, dim), (n,) float64
+        Bond vectors and their lengths [length].
+    least : (n,) float64
+        Smallest length of a bond of the same particle [length].
+    """
+
+    pairs: GlobalIndex
+    xi: Float
+    length: Float
+    least: Float
+
+    @property
+    def nearest(self) -> Mask:
+        """Return True for bonds to nearest neighbours (n,)."""
+        return self.length < NEXT * self.least
+
+
+def _bonds_in(solution: Solution, zone: Mask) -> _Bonds:
+    """Return the intact bonds of the owned particles (n_owned,) of a zone (not collective)."""
     cloud = solution.cloud
     pairs, left, _ = pairs_of(solution, np.flatnonzero(zone))
     pairs = pairs[left == 1.0]
@@ -244,7 +267,7 @@ def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float
     length = np.linalg.norm(xi, axis=1)
     least = np.full(len(zone), np.inf)
     np.minimum.at(least, pairs[:, 0], length)
-    return pairs, xi, length, length < NEXT * least[pairs[:, 0]], least
+    return _Bonds(pairs, xi, length, least[pairs[:, 0]])
 
 
 def _differ(low: float, high: float) -> bool:

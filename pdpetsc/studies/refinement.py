@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -116,47 +115,53 @@ def converging(
     if any(not math.isfinite(value) for _, value in pairs) or (exact is not None and not math.isfinite(exact)):
         raise CaseError(f"{result} is not finite at every size.")
     h, f = tuple(size for size, _ in pairs), tuple(value for _, value in pairs)
-    found: dict[str, Any] = _extrapolated(h, f, noise) if exact is None else _against(h, f, exact, noise)
-    return Convergence(result, h, f, dict(group or {}), exact=exact, **found)
+    found = Convergence(result, h, f, dict(group or {}), exact=exact)
+    return _extrapolated(found, noise) if exact is None else _against(found, exact, noise)
 
 
-def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float) -> dict[str, Any]:
+def _against(found: Convergence, exact: float, noise: float) -> Convergence:
+    """Return the convergence with its order against an exact value, or with the reason why there is none."""
+    h, f = found.sizes, found.values
     if len(h) < 2:
-        return {"note": f"an order against an exact value needs two sizes, not {len(h)}"}
+        return replace(found, note=f"an order against an exact value needs two sizes, not {len(h)}")
     errors = [value - exact for value in f]
     scale = max(abs(exact), *map(abs, f))
     if min(map(abs, errors)) <= noise * scale:
-        return {"note": f"an error is below the solver tolerance; {TIGHTEN}"}
+        return replace(found, note=f"an error is below the solver tolerance; {TIGHTEN}")
     if min(errors) < 0.0 < max(errors):
-        return {"note": f"the error changes its sign; {ADD}"}
+        return replace(found, note=f"the error changes its sign; {ADD}")
     logs = np.log(np.array([h, [abs(error) for error in errors]]))
     steps = np.diff(logs)
     orders = tuple((steps[1] / steps[0]).tolist())
     if min(orders) <= 0.0:
-        return {"orders": orders, "note": f"the error does not fall with the size; check the exact value, and {ADD}"}
+        return replace(
+            found, orders=orders, note=f"the error does not fall with the size; check the exact value, and {ADD}"
+        )
     # Only the sizes used below: larger ones may not be small enough.
     slope = float(np.polyfit(logs[0, -3:], logs[1, -3:], 1)[0])
     if len(orders) == 1:
         note = "two sizes do not show whether they are small enough; add a third"
     elif _apart(orders[-2], orders[-1]):
         note = f"not in the asymptotic range, orders {_words(orders)}; {ADD}"
-        return {"orders": orders, "note": note}
+        return replace(found, orders=orders, note=note)
     elif any(_apart(order, orders[-1]) for order in orders[:-2]):
         note = f"the order of the three smallest sizes; the larger sizes have other orders: {_words(orders)}"
     else:
         note = ""
-    return {"order": slope, "orders": orders, "note": note}
+    return replace(found, order=slope, orders=orders, note=note)
 
 
-def _extrapolated(h: Sequence[float], f: Sequence[float], noise: float) -> dict[str, Any]:
+def _extrapolated(found: Convergence, noise: float) -> Convergence:
+    """Return the convergence with order, limit and error bar, or with the reason why there are none."""
+    h, f = found.sizes, found.values
     if len(h) < 3:
-        return {"note": f"an order without an exact value needs three sizes, not {len(h)}"}
+        return replace(found, note=f"an order without an exact value needs three sizes, not {len(h)}")
     steps = [after - before for before, after in itertools.pairwise(f)]
     scale = max(map(abs, f))
     if min(map(abs, steps[-3:])) <= noise * scale:
-        return {"note": f"results of neighbouring sizes differ by less than the solver tolerance; {TIGHTEN}"}
+        return replace(found, note=f"results of neighbouring sizes differ by less than the solver tolerance; {TIGHTEN}")
     if min(steps[-3:]) < 0.0 < max(steps[-3:]):
-        return {"note": f"the results are not monotone in the size; {ADD}"}
+        return replace(found, note=f"the results are not monotone in the size; {ADD}")
     orders = tuple(
         order for k in range(max(0, len(h) - 4), len(h) - 2) if (order := _order(h[k : k + 3], steps[k : k + 2]))
     )
@@ -165,19 +170,16 @@ def _extrapolated(h: Sequence[float], f: Sequence[float], noise: float) -> dict[
             f"the results do not approach a limit: their differences do not fall with the size; {ADD}, or refine the "
             f"horizon and the load steps along with it"
         )
-        return {"orders": orders, "note": note}
+        return replace(found, orders=orders, note=note)
     if len(orders) > 1 and _apart(*orders):
-        return {"orders": orders, "note": f"not in the asymptotic range, orders {_words(orders)}; {ADD}"}
+        return replace(found, orders=orders, note=f"not in the asymptotic range, orders {_words(orders)}; {ADD}")
     order, r = orders[-1], h[-2] / h[-1]
     safety = CONFIRMED if len(orders) > 1 else ALONE
     note = "" if len(orders) > 1 else "three sizes do not show whether they are small enough; add a fourth"
-    return {
-        "order": order,
-        "orders": orders,
-        "extrapolated": f[-1] + steps[-1] / (r**order - 1.0),
-        "error_bar": safety * abs(steps[-1]) / (r ** min(order, TRUSTED) - 1.0),
-        "note": note,
-    }
+    return replace(
+        found, order=order, orders=orders, extrapolated=f[-1] + steps[-1] / (r**order - 1.0),
+        error_bar=safety * abs(steps[-1]) / (r ** min(order, TRUSTED) - 1.0), note=note,
+    )  # fmt: skip
 
 
 def _order(h: Sequence[float], steps: Sequence[float]) -> float | None:

@@ -89,21 +89,12 @@ def cracks(section: Section, x: Float) -> list[str]:
     found, dim = [], x.shape[1]
     for one in section.sections.values():
         kind = one.text("Type").replace(" ", "_")
-
-        def named(name: str, one: Section = one) -> str:
-            return name if name in one.entries else name.replace(" ", "_")
-
-        def vector(name: str, one: Section = one) -> Float:
-            values = [
-                one.number(named(f"{name} {axis}", one), 0.0 if k >= dim else None) for k, axis in enumerate("XYZ")
-            ]
-            return np.array(values[:dim])
-
         if one.flag("Allow Contact"):
             raise one.entries["Allow Contact"].wrong("has no counterpart here.")
         if kind == "Rectangular_Plane":
-            normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
-            along, side = one.number(named("Bottom Length")), one.number(named("Side Length"))
+            names = ("Normal", "Lower Left Corner", "Bottom Unit Vector")
+            normal, corner, bottom = (_vector(one, name, dim) for name in names)
+            along, side = (one.number(_spelled(one, name)) for name in ("Bottom Length", "Side Length"))
             sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
             if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
                 raise one.wrong("is no rectangle.")
@@ -121,7 +112,7 @@ def cracks(section: Section, x: Float) -> list[str]:
                 corners = [corner, corner + along * bottom, corner + along * bottom + up, corner + up]
                 found.append(f"pd.PolygonCrack([{', '.join(_point(point) for point in corners)}])")
         elif kind == "Disk" and dim == 3:
-            centre, normal, radius = vector("Center"), vector("Normal"), one.number("Radius")
+            centre, normal, radius = _vector(one, "Center", dim), _vector(one, "Normal", dim), one.number("Radius")
             if not (np.linalg.norm(normal) > 0.0 and radius > 0.0):
                 raise one.wrong("is no disc.")
             _refuse_on_plane(one, x, centre, normal / np.linalg.norm(normal))
@@ -129,6 +120,19 @@ def cracks(section: Section, x: Float) -> list[str]:
         else:
             raise one.entries["Type"].wrong(f"is {kind!r}, which has no counterpart in {dim}D.")
     return found
+
+
+def _spelled(section: Section, name: str) -> str:
+    """Return the name of an entry as the section has it, with blanks or underscores."""
+    return name if name in section.entries else name.replace(" ", "_")
+
+
+def _vector(section: Section, name: str, dim: int) -> Float:
+    """Return a vector (dim,) from its entries; a plane body may lack the last one."""
+    values = [
+        section.number(_spelled(section, f"{name} {axis}"), 0.0 if k >= dim else None) for k, axis in enumerate("XYZ")
+    ]
+    return np.array(values[:dim])
 
 
 def _refuse_on_plane(one: Section, x: Float, point: Float, normal: Float) -> None:

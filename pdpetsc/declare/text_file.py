@@ -115,8 +115,7 @@ class TextFile(Particles):
     def has(self, name: str) -> bool:
         """Return True if the file has a column of this name; without names, columns are ``x y z block volume``."""
         names, table = _read(Path(self.path))
-        have = names if names is not None else [*"xyz"[: table.shape[1] - 2], "block", "volume"]
-        return _COLUMNS.get(name.lower(), name.lower()) in have
+        return _COLUMNS.get(name.lower(), name.lower()) in (names or _unnamed(table))
 
     def function(self, name: str) -> Column:
         """Return a column of the file as a function of particle positions, for orientations and loads.
@@ -317,6 +316,11 @@ def _known(path: Path, words: list[str]) -> list[str]:
     return names
 
 
+def _unnamed(table: Float) -> list[str]:
+    """Return the columns of a table without names."""
+    return [*"xyz"[: table.shape[1] - 2], "block", "volume"]
+
+
 def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float | None, Float]:
     """Return coordinates (n, dim), blocks (n,) or None, and volumes (n,)."""
     width = table.shape[1]
@@ -326,7 +330,7 @@ def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, 
                 f"{path} has {width} columns, not 1 to 3 coordinates, a block and a volume. Name them in a first line "
                 "'header: x y z block_id volume'."
             )
-        names = [*"xyz"[: width - 2], "block", "volume"]
+        names = _unnamed(table)
     if len(names) != width:
         raise CaseError(f"{path} has {width} columns, and its header names {len(names)}. Name every column once.")
     x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]

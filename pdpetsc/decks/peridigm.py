@@ -306,34 +306,34 @@ def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where
 
 def _conditions(script: Script, section: Section, deck: Deck) -> None:
     script.notes.leave_out(section, "Create Node Set For Rank Deficient Nodes")
+    known = {"Prescribed Displacement": "Displacement", "Body Force": "BodyForce",
+             "Prescribed Temperature": "Temperature"}  # fmt: skip
+    # Displacements are relative to the beginning, changes of temperature to time 0.
+    since = {"Displacement": script.times.first, "Temperature": 0.0}
     for one in section.sections.values():
         kind = one.text("Type").replace("_", " ")
         if kind == "Initial Velocity" and deck.static:
             one.use_all()
             script.notes.ignored.append(f"{one.place}: Initial Velocity, of a deck in time that is solved statically")
             continue
-        known = {"Prescribed Displacement": "Displacement", "Body Force": "BodyForce",
-                 "Prescribed Temperature": "Temperature"}  # fmt: skip
-        if kind not in known:
+        found = known.get(kind)
+        if found is None:
             raise one.entries["Type"].wrong(
                 f"is {kind!r}, which has no counterpart in a static case; known are {', '.join(known)}."
             )
-        axis = "" if kind == "Prescribed Temperature" else one.text("Coordinate").lower()
+        axis = "" if found == "Temperature" else one.text("Coordinate").lower()
         if axis and axis not in ("x", "y", "z"):
             raise one.entries["Coordinate"].wrong(f"is {axis!r}, not x, y or z.")
         one.use("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
         where = script.body.node_set(set_name, one.place)
-        # Displacements are relative to the beginning, changes of temperature to time 0.
-        since = {"Prescribed Displacement": script.times.first, "Prescribed Temperature": 0.0}.get(kind)
-        given = Given(known[kind], axis, where, value, one.place, since)
-        if kind == "Prescribed Temperature" and "t" not in value.names:
+        if found == "Temperature" and "t" not in value.names:
             raise one.wrong(
                 f"is a temperature that does not change: Peridigm counts changes from time 0, so it has no effect; "
                 f"leave it out with --ignore {one.path!r}."
             )
-        script.given.append(given)
+        script.given.append(Given(found, axis, where, value, one.place, since.get(found)))
 
 
 # --- time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -379,6 +379,11 @@ class Held:
     cracks: Sequence[Crack] = ()
     broken: GlobalIndex = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     horizon: float = np.inf
+
+    def of_body(self, particles: GlobalIndex, dim: int) -> Held:
+        """Return the connection of the particles of a body, in ascending order, by their first coordinates."""
+        broken = self.broken[np.isin(self.broken, particles).all(axis=1)]
+        return replace(self, x=self.x[particles, :dim], broken=np.searchsorted(particles, broken))
 
     def connects(self, home: GlobalIndex, near: GlobalIndex) -> Mask:
         """Return True for particles near a home particle (m, k) that are connected with it (m,)."""

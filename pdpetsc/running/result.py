@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.cracks import Crack, crack_of
+from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.expected import Expected
 from pdpetsc.declared import ByName, near_or_all
 from pdpetsc.errors import CaseError, RunError
@@ -189,12 +189,11 @@ class Result(Mapping[str, float]):
         # One body among others may be a line.
         rows = rows_of_points(points, x)
         found: Float | None = None
-        cracks, broken, horizon = self._connection(x, step)
+        held = self._held(step)
         # A body of one particle among others has no value at other points.
         for particles, inside in [one for one in self._bodies if len(one[0]) > 1] or self._bodies:
-            own = np.searchsorted(particles, broken[np.isin(broken, particles).all(axis=1)])
-            held = Held(x[particles, : len(inside.sides)], cracks, own, horizon)
-            of_body = sampled(x[particles], values[particles], rows, inside, held)
+            own = held.of_body(particles, len(inside.sides))
+            of_body = sampled(x[particles], values[particles], rows, inside, own)
             found = of_body if found is None else np.where(np.isnan(found), of_body, found)
         assert found is not None
         return found
@@ -212,8 +211,8 @@ class Result(Mapping[str, float]):
             found.append((particles, inside_of(x[particles, :dim], volume[particles], depth, surface)))
         return found
 
-    def _connection(self, x: Float, step: int | None) -> tuple[list[Crack], GlobalIndex, float]:
-        """Return the cracks, the pairs of particles (n, 2) with a broken bond at a step, and the horizon [length]."""
+    def _held(self, step: int | None) -> Held:
+        """Return the connection of all particles at a step, by cracks and broken bonds."""
         cracks = [(record, crack_of(record)) for record in crack_records(self.summary)]
         unknown = [str(record.get("kind")) for record, crack in cracks if crack is None]
         if unknown:
@@ -221,11 +220,10 @@ class Result(Mapping[str, float]):
                 f"{self.folder} has a crack of the unknown class {unknown[0]}, so values between particles may cross "
                 "it. Use field(name) of the particles."
             )
-        stored = self.fields
+        stored, x = self.fields, self.x
         broken = broken_pairs(self.folder, stored.steps[-1] if step is None else step, x)
-        horizon = self.summary.get("horizon")
         known = [crack for _, crack in cracks if crack is not None]
-        return known, broken, float(horizon) if horizon else np.inf
+        return Held(x, known, broken, float(self.summary.get("horizon") or np.inf))
 
     def frame(self) -> Any:
         """Return the history as a pandas data frame, one row per step.

@@ -145,9 +145,8 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
         # Along the axes of the extent of a single row or layer.
         at = np.repeat(x[:1, columns], len(given), axis=0)
         at[:, np.searchsorted(columns, axes)] = given
-    homes = body.homes(at)
-    if held is not None:
-        homes = held.on_side(at, homes, body.sides)
+    held = Held(x[:, columns]) if held is None else held
+    homes = held.on_side(at, body.homes(at), body.sides)
     if given.shape[1] == 3:
         across = np.setdiff1d(np.arange(3), columns)
         off = np.linalg.norm(given[:, across] - x[0, across], axis=1) > body.size(homes) * (1.0 + FLAT)
@@ -163,7 +162,7 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
     return found
 
 
-def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held | None) -> Float:
+def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held) -> Float:
     """Return the linear fits (m, ...) at points (m, d) of particles (m,)."""
     found = np.array(values[homes])
     tree = scipy.spatial.cKDTree(x)
@@ -173,8 +172,8 @@ def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held |
         rest = list[GlobalIndex]()
         for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
             distance, near = (one.reshape(len(part), -1) for one in tree.query(at[part], k=most))
-            counts = np.ones(near.shape, dtype=bool) if held is None else held.connects(homes[part], near)
-            fit, spans = _fits(x[near] - at[part, None], distance, counts, 1 + int(rank))
+            connected = held.connects(homes[part], near)
+            fit, spans = _fits(x[near] - at[part, None], distance, connected, 1 + int(rank))
             found[part[spans]] = np.einsum("me,me...->m...", fit[spans], values[near[spans]])
             rest.append(part[~spans])
         if most == len(x) or 2 * most > MOST:

@@ -29,11 +29,11 @@ class PointDamage(Declared):
     r"""The energy of a gradient point is ``phi(x) (psi_open + psi_control) + psi_closed``.
 
     The driving variable is ``x = sqrt(Y / Y_0)`` with ``Y = psi_open + psi_control``, the energy that damage reduces.
-    ``Y_0`` is ``psi_open`` in uniaxial tension at the strength. The stress follows the softening curve as x increases from 1 to
-    ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every point whose
-    family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the crack at onset:
-    ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. There are no fitted parameters. The normal of the crack
-    is the direction of the largest relative displacements in the families around the point.
+    ``Y_0`` is ``psi_open`` in uniaxial tension at the strength. The stress follows the softening curve as x increases
+    from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every
+    point whose family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the crack
+    at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. There are no fitted parameters. The normal of
+    the crack is the direction of the largest relative displacements in the families around the point.
 
     Gradients and weights are those of the intact body. All forces derive from the energy, and the tangent is symmetric
     if that of the material is. The energy of a material that flows is stored energy plus plastic work.

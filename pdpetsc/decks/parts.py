@@ -320,6 +320,15 @@ def refuse_steps(solver: Section, count: int, first: float, last: float) -> None
         )
 
 
+def refuse_empty(condition: Section, where: Where) -> None:
+    """Raise CaseError if the node set of a condition has no particles."""
+    if not where.mask.any():
+        raise condition.wrong(
+            f"has a node set without particles; correct the set, or leave the condition out with --ignore "
+            f"{condition.path!r}."
+        )
+
+
 def refuse_unknown(root: Section) -> None:
     """Raise CaseError if an entry of the deck has neither been read nor noted."""
     left = root.unread()
@@ -413,12 +422,16 @@ def _history(script: Script, one: Section, force: str, displacement: str) -> Non
     kind, variable = one.peek("Compute Class"), one.peek("Variable")
     label = "".join(c if c.isalnum() or c == "_" else "_" for c in one.peek("Output Label") or one.name)
     axes = "xyz"[: script.body.dim]
+    if any(f"{label}_{axis}" in script.history for axis in axes):
+        raise one.wrong(f"has the label {label!r}, as another one of them has; give one another label.")
     if kind == "Block_Data" and variable == force and one.peek("Calculation Type") == "Sum":
         where = script.body.block(one.text("Block"), one.place)
         for axis in axes:
-            # Support forces, the negative of the internal forces that the deck sums.
+            # Support forces, the negative of the internal forces that the deck sums and of body forces.
             script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'
-        script.notes.differs("Forces of blocks in the history are support forces, the opposite of internal forces.")
+        script.notes.differs(
+            "Forces of blocks in the history are support forces: the opposite of the sum of internal and body forces."
+        )
         one.use("Compute Class", "Variable", "Calculation Type", "Output Label")
     elif kind == "Nearest_Point_Data" and variable == displacement:
         point = tuple(one.number(axis) for axis in "XYZ"[: script.body.dim])

@@ -328,6 +328,7 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
         where = script.body.node_set(set_name, one.place)
+        parts.refuse_empty(one, where)
         if found == "Temperature" and "t" not in value.names:
             raise one.wrong(
                 f"is a temperature that does not change: Peridigm counts changes from time 0, so it has no effect; "

@@ -169,6 +169,8 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
             script.notes.leave_out_all(block)
             continue
         where = script.body.block(f"block_{number}", block.place)
+        if not (where.mask <= left).all():
+            raise block.entries["Block ID"].wrong(f"is {number}, which another block has too.")
         left &= ~where.mask
         script.horizon.append((where, parts.horizon_of(block)))
         script.notes.leave_out(block, "Density", "Specific Heat Capacity")
@@ -356,6 +358,7 @@ def _conditions(script: Script, section: Section) -> None:
         one.use("Coordinate")
         named = [script.body.node_set(name.strip(), one.place) for name in one.text("Node Set").split("+")]
         where = functools.reduce(operator.or_, named)
+        parts.refuse_empty(one, where)
         value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
         script.given.append(Given(found, axis, where, value, one.place))
     for first, second in itertools.combinations(script.given, 2):

@@ -577,6 +577,11 @@ REFUSED = [
     ("block.yaml", ("Density: 7800.0", "Plane Stress: true"), "Plane Stress"),
     ("block.yaml", ("Absolute Tolerance: 1.0", "Adaptive Load-Stepping:\n        Switch to Verlet:\n          Fixed "
                                                "dt: 1"), "--ignore 'Switch to Verlet'"),
+    ("block.yaml", ("Gage:\n", "Again:\n      Compute Class: Block_Data\n      Calculation Type: Sum\n"
+                    "      Block: block_1\n      Variable: Force\n      Output Label: Sum_of_Forces\n    Gage:\n"),
+     "has the label"),
+    ("plate.yaml", ("Left: x < 0.6", "Left: x < -0.6"), "a node set without particles"),
+    ("plate.yaml", ("Block ID: 2", "Block ID: 1"), "is 1, which another block has too"),
     ("plate.yaml", ("Type: Text File", "Type: Exodus"), "all of their nodes"),
     ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: isotropic"), "neither plane stress nor"),
     ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: orthotropic plane stress"), "no counterpart"),

@@ -189,7 +189,8 @@ class Comparison:
         t : float, optional
             Load parameter [-]; by default the last one of each run, which must be equal.
         points : (m, d) array, optional
-            Points, as for ``Result.sample``; by default the particles of the first run.
+            Points, as for ``Result.sample``; by default the particles of the first run, each in its body if the runs
+            have as many bodies.
 
         Returns
         -------
@@ -218,8 +219,13 @@ class Comparison:
             run = self.runs[name]
             if points is None and np.array_equal(run.x, first.x):
                 values[name] = np.asarray(run.field(field, steps[name]), dtype=float)
+            elif points is None:
+                # Particles on a surface where bodies touch belong to one of them.
+                own, other = first.fields.body, run.fields.body
+                bodies = own if own.max() == other.max() else None
+                values[name] = run.sample(first.x, field, steps[name], bodies)
             else:
-                values[name] = run.sample(first.x if points is None else points, field, steps[name])
+                values[name] = run.sample(points, field, steps[name])
         shapes = {array.shape for array in values.values()}
         if len(shapes) > 1:
             raise CaseError(f"The field {field} has not the same components in all of {', '.join(names)}.")

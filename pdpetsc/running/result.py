@@ -150,7 +150,9 @@ class Result(Mapping[str, float]):
         """Return the numbers of the history that may be wrong although the run converged, with the reasons."""
         return {name: str(found.get("why")) for name, found in (self.summary.get("doubts") or {}).items()}
 
-    def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
+    def sample(
+        self, points: Any, name: str = "displacement", step: int | None = None, bodies: GlobalIndex | None = None
+    ) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
 
         Particles of other bodies, beyond a pre-crack or behind broken bonds are excluded from the fit. If too few
@@ -165,6 +167,8 @@ class Result(Mapping[str, float]):
             The field, as for ``field``.
         step : int, optional
             The step; by default the last one.
+        bodies : (m,) int64, optional
+            The body of each point, counted from 0 in the order of ``pd.Bodies``; outside of it the value is nan.
 
         Returns
         -------
@@ -191,9 +195,13 @@ class Result(Mapping[str, float]):
         found: Float | None = None
         held = self._held(step)
         # A body of one particle among others has no value at other points.
-        for particles, inside in [one for one in self._bodies if len(one[0]) > 1] or self._bodies:
+        known = [k for k, (particles, _) in enumerate(self._bodies) if len(particles) > 1] or range(len(self._bodies))
+        for number in known:
+            particles, inside = self._bodies[number]
             own = held.of_body(particles, len(inside.sides))
             of_body = sampled(x[particles], values[particles], rows, inside, own)
+            if bodies is not None:
+                of_body[np.asarray(bodies) != number] = np.nan
             found = of_body if found is None else np.where(np.isnan(found), of_body, found)
         assert found is not None
         return found

@@ -282,6 +282,25 @@ def test_points_have_the_value_of_their_own_body(kind, other, dim, tmp_path):
     np.testing.assert_allclose(run.sample(at)[:, 0], exact, atol=1e-9)
 
 
+def test_particles_on_two_bodies_are_compared_in_their_own_body(tmp_path):
+    """Runs with other spacings have equal fields, also at nodes on the surface where two bodies touch."""
+    runs = {}
+    for n in (4, 5):
+        lower = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 1.0 / n)
+        upper = pd.LatticeNodes((0.0, 1.0), (1.0, 2.0), 1.0 / n)
+        case = pd.Case(
+            particles=pd.Bodies({"lower": lower, "upper": upper}),
+            material=pd.LinearElastic(E=1.0, nu=0.3),
+            conditions=[
+                pd.Displacement("lower", x=0.0, y=0.0),
+                pd.Displacement("upper", x=lambda x, t: 0.5 - 0.1 * x[:, 1], y=0.0),
+            ],
+            fields=[pd.displacement],
+        )
+        runs[str(n)] = pd.run(case, tmp_path / str(n))
+    np.testing.assert_allclose(pd.compare(runs).difference("displacement")["5"], 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("first", ["block", "row"])
 def test_a_list_of_numbers_is_one_point_if_only_one_of_several_bodies_is_a_line(first, tmp_path):
     parts = {"block": pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.25), "row": pd.Lattice((0.0, 1.0), (1.0, 1.25), 0.25)}

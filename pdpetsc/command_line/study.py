@@ -123,6 +123,12 @@ def run_study(case: Path, arguments: Arguments, name: str) -> None:
         for one in done.convergence:
             if one.note:
                 console.print(f"{', '.join(filter(None, [named(one.group), one.result]))}: {one.note}")
+    warned: dict[str, list[str]] = {}
+    for outcome in done.outcomes:
+        for warning in outcome.warnings:
+            warned.setdefault(warning, []).append(outcome.name)
+    for warning, (name_of_run, *others) in warned.items():
+        console.print(f"{name_of_run}{f' and {len(others)} more' if others else ''}: {warning}")
     for outcome in done.failed:
         console.print(f"{outcome.name}: exit status {outcome.exit_status}: {outcome.said}")
     console.print(f"table in {folder / f'{name}.csv'}")

@@ -103,6 +103,7 @@ class Point:
     history: Mapping[str, Any] = field(default_factory=dict)
     failure: str = ""
     values: Float | None = None
+    warnings: Sequence[str] = ()
 
     def read_off(self, curve: Curve) -> Point:
         """Return the point with the values of its history at the positions of a curve."""
@@ -314,6 +315,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     if step is not None:
         fit.notes.append("the curve has a bend or a jump at these parameters: their standard errors are not reliable")
     fit.notes.extend(_notes(fit, ranges, deviation))
+    fit.notes.extend(f"the run with these parameters warns: {warning.rstrip('.')}" for warning in point.warnings)
     return fit
 
 
@@ -529,7 +531,7 @@ def _point(outcome: Outcome) -> Point:
         raise SolveError(f"The fit cannot go on: {outcome.said.rstrip('.')}; the same command begins anew with them.")
     if not outcome.finished:
         return Point(outcome.folder, failure=f"exit status {outcome.exit_status}: {outcome.said}")
-    return Point(outcome.folder, read_history(outcome.folder))
+    return Point(outcome.folder, read_history(outcome.folder), warnings=outcome.warnings)
 
 
 def _range(name: str, ends: Sequence[float]) -> Range:

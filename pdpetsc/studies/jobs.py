@@ -19,6 +19,8 @@ from pdpetsc.machine import cores, threads
 PACKAGE = Path(__file__).parent.parent
 # Default launcher of ranks.
 LAUNCHER = "mpirun -n {ranks}"
+# Start of the lines of warnings and errors.
+OURS = "pdpetsc: "
 # Interval of polling runs [s].
 LOOK = 0.02
 # Time limit for a run to end after a request [s].
@@ -67,12 +69,19 @@ class Job:
     @property
     def said(self) -> str:
         """Return its last message."""
+        return self.messages[-1] if self.messages else _last_message(self._text)
+
+    @property
+    def messages(self) -> list[str]:
+        """Return its warnings and errors."""
+        return [line.removeprefix(OURS) for line in self._text.splitlines() if line.startswith(OURS)]
+
+    @property
+    def _text(self) -> str:
         try:
-            text = self.log.read_text(errors="replace")
+            return self.log.read_text(errors="replace")
         except OSError:
-            return "no message."
-        lines = [line.removeprefix("pdpetsc: ") for line in text.splitlines() if line.startswith("pdpetsc: ")]
-        return lines[-1] if lines else _last_message(text)
+            return ""
 
     def ask_to_end(self) -> None:
         """Send the signal to end."""

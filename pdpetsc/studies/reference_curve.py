@@ -93,6 +93,9 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     at = [header.index(name) for name in wanted]
     found = []
     for number, row in enumerate(rows, 2):
+        # A decimal comma, for one, splits a number.
+        if any(row[len(header) :]):
+            raise CaseError(f"Row {number} of {path} has {len(row)} values, and the header names {len(header)}.")
         try:
             found.append([float(row[k]) for k in at])
         except (ValueError, IndexError):

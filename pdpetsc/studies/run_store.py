@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +24,9 @@ LOG = "log.txt"
 # Files of a run that its record describes.
 KEPT = ("summary.json", "history.csv")
 # Fields of an outcome in the record, besides the identity of the run and its files.
-RECORDED = ("parameters", "status", "exit_status", "said", "results", "seconds", "memory", "unstable", "noise")
+RECORDED = (
+    "parameters", "status", "exit_status", "said", "results", "seconds", "memory", "unstable", "warnings", "noise",
+)  # fmt: skip
 # Largest length of a name; a longer name is cut, and made unique by a fingerprint.
 LONGEST = 80
 
@@ -53,6 +55,8 @@ class Outcome(Declared):
         Peak memory of all ranks together [MiB].
     unstable : int
         Number of load steps with an unstable equilibrium.
+    warnings : sequence of str
+        Warnings of a finished run.
     noise : float
         Relative error of a result by the tolerance of its solver.
     changed : bool
@@ -68,6 +72,7 @@ class Outcome(Declared):
     seconds: float = 0.0
     memory: float = 0.0
     unstable: int = 0
+    warnings: Sequence[str] = ()
     noise: float = NOISE
     changed: bool = False
 

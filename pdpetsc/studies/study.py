@@ -232,7 +232,8 @@ class Runs(Declared):
             "" if finished else job.said if status else f"exit status 0 without a finished run: {job.said}",
             {name: float(value) for name, value in results.items()} if finished else {},
             working_seconds(summary), mebibytes(summary),
-            sum(bool(step.get("negative_pivots")) for step in summary.get("steps") or []), _noise(summary),
+            sum(bool(step.get("negative_pivots")) for step in summary.get("steps") or []),
+            job.messages if finished else (), _noise(summary),
         )  # fmt: skip
         # A stopped run has not failed; it is run again.
         if summary.get("error") != "Interrupted":

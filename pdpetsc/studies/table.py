@@ -36,6 +36,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
         "seconds": [f"{one.seconds:.3f}" for one in outcomes],
         "peak_MiB": [f"{one.memory:.1f}" for one in outcomes],
         "unstable_steps": [one.unstable for one in outcomes],
+        "warnings": [len(one.warnings) for one in outcomes],
         "status": [one.status for one in outcomes],
         "exit_status": [one.exit_status for one in outcomes],
         "said": [one.said for one in outcomes],
@@ -47,7 +48,7 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
         {
             "parameters": dict(one.parameters), "status": one.status, "exit_status": one.exit_status, "said": one.said,
             "results": dict(one.results), "seconds": one.seconds, "peak_MiB": one.memory,
-            "unstable_steps": one.unstable, "folder": one.folder.name,
+            "unstable_steps": one.unstable, "warnings": list(one.warnings), "folder": one.folder.name,
         }
         for one in outcomes
     ]  # fmt: skip
@@ -96,6 +97,7 @@ def of_runs(outcomes: Sequence[Outcome]) -> Table:
         "status": [
             ("finished" if one.finished else f"failed, exit status {one.exit_status}")
             + (f", {one.unstable} steps unstable" if one.unstable else "")
+            + (f", {len(one.warnings)} warning{'s' * (len(one.warnings) > 1)}" if one.warnings else "")
             for one in outcomes
         ],
     }

@@ -269,6 +269,14 @@ def test_a_measured_curve_is_cut():
         measured.within(3.0, 4.0)
 
 
+def test_a_row_with_more_values_than_the_header_names_is_refused(tmp_path):
+    """As those of a decimal comma."""
+    path = tmp_path / "measured.csv"
+    path.write_text("u,F\n0,0\n0,1,20,5\n")
+    with pytest.raises(pd.CaseError, match=r"Row 3 of .* has 4 values, and the header names 2"):
+        read_curve(path, ("u", "F"))
+
+
 def test_measured_curves_are_read_by_the_names_of_their_columns(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("force,displacement,s\n1.0,0.1,0.5\n\n2.0,0.2,0.5\n")
@@ -499,6 +507,15 @@ def test_a_study_runs_what_is_not_there_and_shows_no_number_of_what_failed(tmp_p
     (tmp_path / "beside.py").write_text("FACTOR = 5.0\n")
     assert pd.study(case, sets[:1], out).values("value") == {"n=4,end=right": 1.0 + 5.0 / 16.0}
     assert when(out)["end=wrong,n=4"] == before["end=wrong,n=4"]
+
+
+def test_a_study_shows_the_warnings_of_its_runs(tmp_path, capsys):
+    """Also of an option that no solver used."""
+    case, out = scene(tmp_path), tmp_path / "out"
+    for _ in range(2):  # the second time from the records of the runs
+        assert command("study", [str(case), "n=4,8", "-snes_rtoll", "1e-3", "-o", str(out)]) == 0
+        assert "n=4 and 1 more: No solver used the option -snes_rtoll." in capsys.readouterr().out
+        assert all(int(row["warnings"]) >= 1 for row in table(out))
 
 
 MESHED = """

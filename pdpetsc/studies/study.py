@@ -106,6 +106,8 @@ class Runs(Declared):
     def in_folder(self) -> Iterator[None]:
         """Lock the folder for this study while the body runs; nothing is written before.
 
+        Tables and pictures of an earlier study in the folder are removed.
+
         Raises
         ------
         CaseError
@@ -113,6 +115,8 @@ class Runs(Declared):
         """
         with holding(alone(), self.folder):
             claim_folder(self.folder, self.writes)
+            for name in self.writes:
+                (self.folder / name).unlink(missing_ok=True)
             yield
 
     def outcomes(

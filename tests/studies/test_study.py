@@ -518,6 +518,14 @@ def test_a_study_shows_the_warnings_of_its_runs(tmp_path, capsys):
         assert all(int(row["warnings"]) >= 1 for row in table(out))
 
 
+def test_a_study_removes_the_orders_of_an_earlier_one_in_its_folder(tmp_path):
+    case, out = scene(tmp_path), tmp_path / "out"
+    pd.study(case, {"n": [4, 6, 8]}, out, refine="1/n")
+    assert (out / "study_order.csv").exists()
+    pd.study(case, {"n": [4, 6]}, out)
+    assert not (out / "study_order.csv").exists()
+
+
 MESHED = """
 import numpy as np
 import pdpetsc as pd
@@ -812,6 +820,8 @@ def test_parameters_are_found_again_from_a_noisy_closed_form(tmp_path, rng):
     finished = tool(*words, "-o", tmp_path / "out")
     assert finished.returncode == 1
     assert "The run goes from u = 0 to 0.479167 and the measured curve to 0.6" in finished.stderr
+    # The parameters of the fit before are not those of this one.
+    assert not any((tmp_path / "out" / name).exists() for name in ("fit.json", "fit.csv", "fit.png"))
 
 
 @pytest.mark.long

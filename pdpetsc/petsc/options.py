@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from petsc4py import PETSc
 
+from pdpetsc.bounds import real_number
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.library import option_used
@@ -20,6 +21,8 @@ from pdpetsc.petsc.library import option_used
 SKIP_FILES = "skip_petscrc"
 # Endings of options that require a number. PETSc ignores such an option without value.
 NEEDS_NUMBER = re.compile(r"(tol|tolerance|max_it|max_fail|max_funcs|max_linear_solve_fail)$")
+# Largest tolerance of Newton's method: a tolerance of 1 accepts the undeformed body.
+LARGEST_TOLERANCE = 0.01
 # Beginnings of options that PETSc reads only at its end.
 READ_AT_THE_END = ("log_", "malloc", "memory_view", "objects_", "options_", "on_error", "debug", "start_in_debugger")
 
@@ -53,13 +56,18 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raise CaseError for nan, and for a missing value of an option that requires a number."""
+    """Raise CaseError for nan, a missing value of an option that requires a number, and a tolerance without meaning."""
     for name, option in in_force.items():
         value = str(option["value"] or "").strip()
         if value.lower().lstrip("+-") == "nan":
             raise CaseError(f"The option -{name} is nan; give it a number.")
         if not value and NEEDS_NUMBER.search(name):
             raise CaseError(f"The option -{name} has no value; write a number after it.")
+        if name == "snes_rtol" and (real_number(value) or 0.0) > LARGEST_TOLERANCE:
+            raise CaseError(
+                f"The option -{name} is {value}: steps end with a residual of that share of the loads. Use at most "
+                f"{LARGEST_TOLERANCE:g}."
+            )
 
 
 class Options:

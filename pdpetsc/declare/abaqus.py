@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,6 +33,9 @@ _DEPTH = 8
 _FILES, _MEMBERS = 1000, 10**7
 
 
+T = TypeVar("T")
+
+
 @dataclass
 class _Deck:
     """The contents read so far; elements by kind and number of nodes, in the order of the file."""
@@ -46,6 +50,23 @@ class _Deck:
     sides: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     parts: int = 0
     instances: int = 0
+    section: str = ""
+    instance: str = ""
+    in_part: set[tuple[int, str]] = field(default_factory=set)
+
+    def members(self, sets: dict[str, list[T]], name: str) -> list[T]:
+        """Return the members of a set of the present section, for more of them; letters may be small or capital.
+
+        A set of the assembly with the name of a set of the part is another one: that of the part is then called
+        ``INSTANCE.NAME``.
+        """
+        name = next((known for known in sets if known.upper() == name.upper()), name)
+        if self.section != "ASSEMBLY":
+            self.in_part.add((id(sets), name))
+        elif (id(sets), name) in self.in_part:
+            self.in_part.discard((id(sets), name))
+            sets[f"{self.instance}.{name}"] = sets.pop(name)
+        return sets.setdefault(name, [])
 
 
 def read(path: Path) -> MeshData:
@@ -57,23 +78,26 @@ def read(path: Path) -> MeshData:
         A line cannot be read, or the deck has several parts or generates its mesh by commands.
     """
     deck = _Deck()
-    section = ""
     for keyword, options, data in _sections(path):
         if keyword in _REFUSED:
             raise CaseError(f"it makes its mesh with *{keyword}; write nodes and elements out")
         if keyword in ("PART", "INSTANCE", "ASSEMBLY"):
-            section = keyword
+            deck.section = keyword
         elif keyword in ("END PART", "END ASSEMBLY"):
-            section = ""
+            deck.section = ""
         elif keyword == "END INSTANCE":
-            section = "ASSEMBLY"
+            deck.section = "ASSEMBLY"
         deck.parts += keyword == "PART"
         deck.instances += keyword == "INSTANCE"
-        if keyword == "INSTANCE" and data:
-            raise CaseError("it moves an instance of a part; write nodes where they are")
+        if keyword == "INSTANCE":
+            deck.instance = options.get("NAME", "").strip('"')
+            if data:
+                raise CaseError("it moves an instance of a part; write nodes where they are")
+        if keyword in ("NODE", "ELEMENT") and "INPUT" in options:
+            raise CaseError(f"*{keyword} reads the file {options['INPUT']!r}; include its lines by *INCLUDE")
         # Nodes and elements of an assembly itself are reference points and omitted; its sets have members of an
         # instance.
-        own = section == "ASSEMBLY" and "INSTANCE" not in options
+        own = deck.section == "ASSEMBLY" and "INSTANCE" not in options
         if keyword == "NODE" and not own:
             _nodes(deck, options, data)
         elif keyword == "ELEMENT" and not own:
@@ -81,7 +105,11 @@ def read(path: Path) -> MeshData:
         elif keyword in ("NSET", "ELSET") and not own:
             sets = deck.node_sets if keyword == "NSET" else deck.element_sets
             name = _option(options, keyword, keyword)
-            sets.setdefault(name, []).extend(_generated(data) if "GENERATE" in options else _members(sets, data))
+            if keyword == "NSET" and options.get("ELSET"):
+                found = _nodes_of(deck, _named(deck.element_sets, options["ELSET"]))
+            else:
+                found = _generated(data) if "GENERATE" in options else _members(sets, data)
+            deck.members(sets, name.strip('"')).extend(found)
         elif keyword == "SURFACE":
             _surface(deck, options, data)
     if max(deck.parts, deck.instances) > 1:
@@ -221,7 +249,7 @@ def _nodes(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
         deck.points.append(x)
         members.append(number)
     if options.get("NSET"):
-        deck.node_sets.setdefault(options["NSET"].strip('"'), []).extend(members)
+        deck.members(deck.node_sets, options["NSET"].strip('"')).extend(members)
 
 
 def _ends_first(points: Float, nodes: GlobalIndex) -> GlobalIndex:
@@ -274,7 +302,13 @@ def _elements(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> No
             rows.append([deck.nodes[node] for node in nodes])
             members.append(number)
     if options.get("ELSET"):
-        deck.element_sets.setdefault(options["ELSET"].strip('"'), []).extend(members)
+        deck.members(deck.element_sets, options["ELSET"].strip('"')).extend(members)
+
+
+def _nodes_of(deck: _Deck, elements: list[int]) -> list[int]:
+    """Return the numbers of the nodes of elements, each once."""
+    numbers, places = list(deck.nodes), [deck.place[one] for one in elements if one in deck.place]
+    return [numbers[node] for node in dict.fromkeys(node for kind, row in places for node in deck.cells[kind][row])]
 
 
 def _generated(data: list[list[str]]) -> list[int]:
@@ -312,10 +346,11 @@ def _is_whole(word: str) -> bool:
 
 def _named(sets: dict[str, list[int]], word: str) -> list[int]:
     """Return the members of a set; case and instance of the name do not matter."""
-    wanted = word.strip('"').rpartition(".")[2].upper()
-    for name, members in sets.items():
-        if name.upper() == wanted:
-            return members
+    full = word.strip('"').upper()
+    for wanted in (full, full.rpartition(".")[2]):
+        for name, members in sets.items():
+            if name.upper() == wanted:
+                return members
     raise CaseError(f"there is no set {word!r}")
 
 
@@ -346,7 +381,7 @@ def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> Non
         word = words[0].rpartition(".")[2]
         members = [_whole(word, "a member")] if _is_whole(word) else _named(sets, words[0])
         if kind == "NODE":
-            deck.node_sets.setdefault(name, []).extend(members)
+            deck.members(deck.node_sets, name).extend(members)
         else:
             side = words[1].upper() if len(words) > 1 else ""
-            deck.sides.setdefault(name, []).extend((member, side) for member in members)
+            deck.members(deck.sides, name).extend((member, side) for member in members)

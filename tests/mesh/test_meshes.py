@@ -251,6 +251,45 @@ def test_abaqus_parts_and_included_files(tmp_path):
             whole(pd.Mesh(path))
 
 
+TWO_SQUARES = """*NODE
+1, 0, 0
+2, 1, 0
+3, 2, 0
+4, 0, 1
+5, 1, 1
+6, 2, 1
+*ELEMENT, TYPE=CPS4, ELSET=Set-1
+1, 1, 2, 5, 4
+2, 2, 3, 6, 5
+"""
+
+
+def test_a_set_of_the_assembly_is_not_that_of_the_part_with_its_name(tmp_path):
+    """As in decks of Abaqus/CAE, which calls the first set of both ``Set-1``."""
+    path = tmp_path / "plate.inp"
+    assembly = "*ASSEMBLY, NAME=A\n*INSTANCE, NAME=P-1, PART=P\n*END INSTANCE\n"
+    sets = "*ELSET, ELSET=Set-1, INSTANCE=P-1\n2\n*ELSET, ELSET=both, INSTANCE=P-1\nP-1.Set-1\n*END ASSEMBLY\n"
+    path.write_text(f"*PART, NAME=P\n{TWO_SQUARES}*END PART\n{assembly}{sets}")
+    _, _, found = whole(pd.Mesh(path))
+    assert found["Set-1"].tolist() == [False, True]
+    assert found["P-1.Set-1"].all()
+    assert found["both"].all()
+
+
+def test_sets_of_abaqus_go_on_in_other_letters_and_have_the_nodes_of_elements(tmp_path):
+    path = tmp_path / "plate.inp"
+    path.write_text(
+        f"{TWO_SQUARES}*ELSET, ELSET=Right\n1\n*ELSET, ELSET=RIGHT\n2\n*ELSET, ELSET=one\n1\n*NSET, NSET=n, ELSET=One\n"
+    )
+    _, _, found = whole(pd.Mesh(path))
+    assert found["Right"].all()
+    assert "RIGHT" not in found
+    assert found["n"].any()
+    path.write_text(TWO_SQUARES + "*ELEMENT, TYPE=CPS4, INPUT=more.txt\n")
+    with pytest.raises(pd.CaseError, match=r"\*ELEMENT reads the file 'more.txt'"):
+        whole(pd.Mesh(path))
+
+
 def test_groups_of_quadratic_boundaries_and_of_single_nodes(tmp_path):
     # Two triangles of second order and the three nodes of one of their edges.
     points = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [1, 0], [2, 1], [1, 1], [1, 2], [0, 1]], dtype=float)

@@ -61,6 +61,8 @@ class Mesh(Particles):
     - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` if cells or facets
       have the name.
 
+    A set of an Abaqus part with the name of a set of the assembly is ``INSTANCE.NAME``.
+
     For loads on the surface the names of side sets, of boundary lines and faces and of node sets are those of facets.
 
     Parameters

@@ -165,7 +165,7 @@ class NoTension(Split):
     ... )
     """
 
-    friction: NonNegative | None = None
+    friction: NonNegative | None = 0.0
 
     def closed_part(self, material: Material) -> ClosedPart | SlidingPart | None:
         """Return the law of the closed part, whose faces slide if there is a coefficient of friction."""

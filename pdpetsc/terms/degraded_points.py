@@ -38,6 +38,8 @@ MOST_LISTED = 4096
 # Remaining share of the stiffness of a failed point and the control of its particle. It holds detached pieces in place,
 # with forces far below those of intact points.
 RESIDUAL = 1e-8
+# Number of bisections for the distance of a point from a crack. Distances that agree so far are equal.
+HALVINGS = 10
 # Number of directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}
 # Zero-energy control whose energies drive the points of its families.
@@ -110,35 +112,59 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self.points.final[:] = np.where(self.points.spared, 1.0, final)
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
-        for crack in damage_laws.cracks:
-            self._start_crack(crack)
+        if damage_laws.cracks:
+            self._start_cracks(damage_laws.cracks)
         # Work of friction in closed cracks [energy / volume], and the degradation factors at which it was computed.
         self._rubbed = np.zeros(operator.n_points)
         self._phi_of_work = self.points.phi.copy()
 
-    def _start_crack(self, crack: Crack) -> None:
-        """Let all points fail whose family a crack cuts along its normal (collective)."""
+    def _start_cracks(self, cracks: Sequence[Crack]) -> None:
+        """Let all points fail whose family a crack cuts along its normal, with the nearest crack (collective)."""
         points = np.flatnonzero(~self.points.spared)
         x = self.body.cloud.x[self.operator.owner[points]]
-        cut, normal = np.zeros(len(points), dtype=bool), np.zeros_like(x)
-        with agreed(self.body.cloud.comm):
-            images = images_of_cloud(crack, self.body.cloud)
-            for sign, shift in zip(images.sign, images.shift, strict=True):
-                along = sign * crack.normals(sign * (x - shift))
-                if along.shape != x.shape or not np.allclose(np.linalg.norm(along, axis=1), 1.0, rtol=0.0, atol=1e-6):
-                    raise CaseError(f"The normals of a {type(crack).__name__} must be unit vectors {x.shape}.")
-                low, high = (x + reach[:, None] * along for reach in self._reaches(points, along))
-                here = crack.cuts(sign * (low - shift), sign * (high - shift)) & ~cut
-                cut[here], normal[here] = True, along[here]
-        points, normal = points[cut], normal[cut]
-        if not anywhere(self.body.cloud.comm, len(points)):
-            raise CaseError(
-                f"The {type(crack).__name__} in cracks of PointDamage cuts no family of a point that may fail. Put it "
-                f"in the body, outside protected regions."
-            )
-        self.points.final[points] = self._final(points, normal)
-        self.points.start_failed(points, normal)
+        nearest, normal = np.full(len(points), np.inf), np.zeros_like(x)
+        for crack in cracks:
+            with agreed(self.body.cloud.comm):
+                distance, along = self._distance(crack, points, x)
+            if not anywhere(self.body.cloud.comm, np.isfinite(distance)):
+                raise CaseError(
+                    f"The {type(crack).__name__} in cracks of PointDamage cuts no family of a point that may fail. Put "
+                    f"it in the body, outside protected regions."
+                )
+            nearer = distance < nearest
+            nearest[nearer], normal[nearer] = distance[nearer], along[nearer]
+        cut = np.isfinite(nearest)
+        self.points.final[points[cut]] = self._final(points[cut], normal[cut])
+        self.points.start_failed(points[cut], normal[cut])
         self._direct()
+
+    def _distance(self, crack: Crack, points: GlobalIndex, x: Float) -> tuple[Float, Float]:
+        """Compute the distances (n,) [length] of points at ``x`` from a crack along its normals (n, dim).
+
+        They are infinite if the crack and its images do not cut the families of the points.
+        """
+        nearest, normal = np.full(len(points), np.inf), np.zeros_like(x)
+        images = images_of_cloud(crack, self.body.cloud)
+        for sign, shift in zip(images.sign, images.shift, strict=True):
+            along = sign * crack.normals(sign * (x - shift))
+            if along.shape != x.shape or not np.allclose(np.linalg.norm(along, axis=1), 1.0, rtol=0.0, atol=1e-6):
+                raise CaseError(f"The normals of a {type(crack).__name__} must be unit vectors {x.shape}.")
+            low, high = self._reaches(points, along)
+
+            def cuts(rows: LocalIndex | slice, low: Float, high: Float) -> Mask:
+                ends = (sign * (x[rows] + reach[:, None] * along[rows] - shift) for reach in (low, high))
+                return crack.cuts(*ends)
+
+            here = np.flatnonzero(cuts(slice(None), low, high)).astype(np.int32)
+            away = np.maximum(-low, high)[here]
+            step = 0.5 * away
+            for _ in range(HALVINGS):
+                less = away - step
+                away = np.where(cuts(here, -less, less), less, away)
+                step = 0.5 * step
+            nearer = away < nearest[here]
+            nearest[here[nearer]], normal[here[nearer]] = away[nearer], along[here[nearer]]
+        return nearest, normal
 
     def _direct(self) -> None:
         """Tell closed parts whose faces slide the normals of the cracks."""

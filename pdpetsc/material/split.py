@@ -140,17 +140,17 @@ class Spectral(Split):
 class NoTension(Split):
     """Closed part of a no-tension material: ``min psi(eps - p)`` over strains p of open cracks.
 
-    Cracks open along the largest principal strains until no principal stress is tensile. Without ``friction`` faces
-    that touch do not slide: a closed crack carries shear as long as no principal stress is tensile.
-
-    With ``friction`` the faces of the crack of a point, normal to the direction at onset, slide against Coulomb
-    friction: the energy is that of ``F (1 - s (x) n)`` for the slip s of the faces over the width of the family. The
-    slip and the work of friction are stored. With ``friction=0.0`` the faces slide freely.
+    Cracks open along the largest principal strains until no principal stress is tensile. The faces of the crack of a
+    point, normal to the direction n at onset, slide: the energy is that of ``F (1 - s (x) n)`` for the slip s of the
+    faces over the width of the family. An open crack has no stress, and a closed one a pressure, with Coulomb friction.
+    The slip and the work of friction are stored.
 
     Parameters
     ----------
-    friction : float, optional
-        Coefficient of friction [-]; by default the faces do not slide.
+    friction : float or None
+        Coefficient of friction [-]. With None, faces do not slide: a closed crack carries shear as long as no principal
+        stress is tensile. An open crack then keeps stress in families that it cuts unevenly, as at surfaces, and if its
+        faces move along each other.
 
     References
     ----------

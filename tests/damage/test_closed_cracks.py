@@ -358,6 +358,41 @@ def test_a_crack_through_the_body_carries_no_tension(scheme, tmp_path):
     assert abs(found.history["force"][-1]) < 1e-5
 
 
+@pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons(), pd.StressPoints()])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("along, share", [(0.0, 1e-6), (1.0, 0.05)])
+def test_faces_that_are_apart_have_no_force(along, share, dim, scheme, tmp_path):
+    """Two rigid halves, also at surfaces, whose families the crack cuts unevenly.
+
+    If the faces also move along each other, these families are shortened along the crack.
+    """
+    far = pd.region.Slab("x", low=0.5)
+    rest = dict.fromkeys("xyz"[:dim], 0.0)
+    case = with_cracks(
+        pd.PlaneCrack((0.5, *[0.0] * (dim - 1)), (1.0, *[0.0] * (dim - 1))),
+        dim=dim, n=8, scheme=scheme,
+        conditions=[
+            pd.Displacement(~far, **rest),
+            pd.Displacement(far, **(rest | {"x": 1e-3, "y": 1e-3 * along})),
+        ],
+        history={"pull": pd.Reaction("x", far), "shear": pd.Reaction("y", far)},
+    )  # fmt: skip
+    found = pd.run(case, tmp_path).history
+    # Of the force of an intact body with the strain of an opening over a family.
+    intact = 1e-3 * 8.0
+    assert abs(found["pull"][-1]) < share * intact
+    assert abs(found["shear"][-1]) < share * intact
+
+
+def test_the_nearest_of_two_cracks_has_the_normal_of_a_point(tmp_path):
+    """In any order: points between both cracks fail with the normal of the nearer one."""
+    flat, steep = pd.Segment((0.2, 0.44), (0.8, 0.44)), pd.Segment((0.2, 0.52), (0.8, 0.61))
+    found = [pd.run(with_cracks(*pair), tmp_path / str(k)) for k, pair in enumerate([(flat, steep), (steep, flat)])]
+    normals = [run.solution.problem.damage.points.normal for run in found]
+    assert normals[1] == pytest.approx(normals[0])
+    assert len(np.unique(np.round(normals[0][normals[0].any(axis=1)], 6), axis=0)) == 2
+
+
 def test_a_crack_at_the_edge_of_a_periodic_cell_fails_both_sides(tmp_path):
     found = []
     for k, at in enumerate((0.5, 0.0)):

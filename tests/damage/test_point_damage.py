@@ -26,6 +26,7 @@ SPLITS = {
     "volumetric": pd.split.Volumetric(),
     "spectral": pd.split.Spectral(),
     "no tension": pd.split.NoTension(),
+    "no slip": pd.split.NoTension(friction=None),
 }
 
 
@@ -48,7 +49,7 @@ def test_curves_fall_from_one_to_nothing_and_integrate(name):
 
 
 @pytest.mark.processors
-@pytest.mark.parametrize("split", ["volumetric", "spectral", "no tension"])
+@pytest.mark.parametrize("split", ["volumetric", "spectral", "no slip"])
 @pytest.mark.parametrize("name", ["linear_elastic", "hencky", "saint_venant_kirchhoff"])
 @pytest.mark.parametrize("dim, plane", [(1, "strain"), (2, "strain"), (2, "stress"), (3, "strain")])
 def test_closed_parts_are_energies_with_their_stress_and_moduli(dim, plane, name, split, rng):

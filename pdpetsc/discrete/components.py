@@ -112,7 +112,7 @@ def refuse_rigid_motion(
         where = "The body" if len(sums) == 1 else f"The piece with particle {piece} ({len(free)} of {len(sums)} pieces)"
         raise CaseError(
             f"{where} is left with {missing} of {n_modes} rigid motions: {motions}. Prescribe more displacement "
-            "components."
+            "components; contact does not count as a support."
         )
 
 

@@ -311,8 +311,10 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     open_by = np.linalg.norm(domain.closed) / (np.pi * (inner + outer))
     if abs(domain.filled - 1.0) > FILLED or abs(domain.falls - 1.0) > FILLED or open_by > CLOSED:
         return (
-            f"is filled by the cells of the particles to {domain.filled:.4g}, and its rim to {domain.falls:.4g}: it "
-            f"leaves the body, crosses a hole, or has too few particles; take smaller radii or more particles"
+            f"is not filled by the cells of the particles: over them the weight sums to {domain.filled:.4g} and its "
+            f"slope to {domain.falls:.4g} of their integrals (within {FILLED:g} of 1), and slopes of opposite sides "
+            f"cancel to {open_by:.2g} (at most {CLOSED:g}). If it leaves the body or crosses a hole, take smaller "
+            f"radii; otherwise it has too few particles: take more particles or radii further apart"
         )
     return _trouble_with_cracks(solution, domain, runs)
 

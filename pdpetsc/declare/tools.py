@@ -315,8 +315,8 @@ class Contact(Condition):
     friction : float
         Coefficient of friction [-]; 0 by default.
     stiffness : float, optional
-        Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim`` over the
-        mean spacing at the facets.
+        Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim``, with
+        friction at most 50 ``mu``, over the mean spacing at the facets.
     penetration : float
         Largest penetration over that spacing in an equilibrium [-]; 0.01 by default.
     name : str

@@ -53,6 +53,11 @@ class MaterialTerm(Term):
         """Return a typical modulus on this rank, ``lambda + 2 mu / dim`` [stress] (not collective)."""
 
     @property
+    def friction_modulus(self) -> float:
+        """Return the modulus that scales the stiffness of contact with friction on this rank [stress] (not collective)."""
+        return self.kappa
+
+    @property
     @abstractmethod
     def largest_modulus(self) -> float:
         """Return the largest modulus on this rank [stress] (not collective)."""

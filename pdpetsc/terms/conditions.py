@@ -416,7 +416,9 @@ class Applied:
         spacing = mean_spacing(self.body, self.body.known_surface.owner[mask])
         if condition.stiffness is not None:
             return condition.stiffness, spacing
-        return STIFFNESS * largest(self.body.cloud.comm, self._material_term.kappa) / spacing, spacing
+        term = self._material_term
+        modulus = term.kappa if isinstance(condition, Tied) or condition.friction == 0.0 else term.friction_modulus
+        return STIFFNESS * largest(self.body.cloud.comm, modulus) / spacing, spacing
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.control.tangent_scaled import tangent_share
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
@@ -22,6 +23,10 @@ from pdpetsc.problem.expansion import FreeDeformation
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
+
+# Largest modulus of contact with friction over the shear modulus [-]: kappa in the plane at nu = 0.4. The bulk modulus of
+# nearly incompressible bodies would make it so stiff that Newton's method does not converge.
+FRICTION = 5.0
 
 
 class MaterialPoints(MaterialTerm):
@@ -300,8 +305,23 @@ class MaterialPoints(MaterialTerm):
     @property
     def kappa(self) -> float:
         """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
+        return self._largest(lambda law: law.bulk_like_modulus(self.body.dim))
+
+    @property
+    def friction_modulus(self) -> float:
+        """Return ``kappa``, or ``FRICTION`` shear moduli if that is less."""
+        dim = self.body.dim
+
+        def modulus(law: Material) -> float:
+            kappa = law.bulk_like_modulus(dim)
+            return kappa if dim == 1 else min(kappa, 0.5 * FRICTION * twice_shear(law.moduli(dim)))
+
+        return self._largest(modulus)
+
+    def _largest(self, modulus: Callable[[Material], float]) -> float:
+        """Return the largest modulus times factor of the materials on this rank [stress]."""
         return max(
-            at_points.material.bulk_like_modulus(self.body.dim)
+            modulus(at_points.material)
             * (1.0 if at_points.factor is None else float(at_points.factor.max(initial=0.0)))
             for at_points in self.materials
         )

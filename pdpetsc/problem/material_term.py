@@ -54,7 +54,7 @@ class MaterialTerm(Term):
 
     @property
     def friction_modulus(self) -> float:
-        """Return the modulus that scales the stiffness of contact with friction on this rank [stress] (not collective)."""
+        """Return the modulus for the stiffness of contact with friction on this rank [stress] (not collective)."""
         return self.kappa
 
     @property

@@ -24,8 +24,8 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 
-# Largest modulus of contact with friction over the shear modulus [-]: kappa in the plane at nu = 0.4. The bulk modulus of
-# nearly incompressible bodies would make it so stiff that Newton's method does not converge.
+# Largest modulus of contact with friction over the shear modulus [-]: kappa in the plane at nu = 0.4. With the bulk
+# modulus of nearly incompressible bodies Newton's method does not converge.
 FRICTION = 5.0
 
 

@@ -259,6 +259,9 @@ class FailingPoints:
         it [-].
     normal : (n_points, dim) float64
         Unit normal of the crack of each point whose damage has begun, zero at other points.
+    released : (n_points,) float64
+        Energy density that slip of the faces of this crack released at the onset, which drives no damage [energy /
+        volume].
     frozen : bool
         True if the degradation factor is constant while the displacement changes.
     slack : float
@@ -271,6 +274,7 @@ class FailingPoints:
         self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
         self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.normal, self.frozen, self.slack = np.zeros((n, dim)), False, 0.0
+        self.released = np.zeros(n)
         self._at_start = np.zeros(n)
         self.commit()
 
@@ -305,6 +309,7 @@ class FailingPoints:
     def _forget(self) -> None:
         """Forget the cracks of points whose damage has not begun at the last converged step."""
         self.normal[self.kappa <= 1.0] = 0.0
+        self.released[self.kappa <= 1.0] = 0.0
 
     def following(self, x: Float) -> Driven:
         """Return the damage at drives x, without updating it."""

@@ -291,8 +291,24 @@ class DegradedPoints(MaterialPoints, DamageModel):
         if self._closed is not None:  # the closed part only lowers Y: far below the onset it does not matter
             Y = Y - self._closed.laws(state).energy(F, NEAR_ONSET**2 * self.points.onset_energy < Y)
         if self._sliding is not None:
-            Y = Y - self._of_sliding(self._sliding, SlidingPart.slipped, state)
+            Y = Y - self._of_sliding(self._sliding, SlidingPart.slipped, state) - self.points.released
         return Y
+
+    def _released(self, state: State, points: GlobalIndex, normal: Float) -> Float:
+        """Compute the energy density (n,) that slip releases if cracks of normals (n, dim) begin at some points.
+
+        Y excludes it. Otherwise Y would jump as a crack begins, and the energy would not balance (collective).
+        """
+        assert self._sliding is not None
+        F, only = self.deformation(state), np.zeros(self.operator.n_points, dtype=bool)
+        only[points] = True
+        energy = []
+        for along in (0.0, normal):
+            self.points.normal[points] = along
+            self._direct()
+            of_closed = self._sliding.laws(state).energy(F, only)[points]
+            energy.append(of_closed + self._of_sliding(self._sliding, SlidingPart.slipped, state)[points])
+        return np.asarray(energy[0] - energy[1])
 
     def _of_sliding(
         self, sliding: MaterialPoints, quantity: Callable[[Any, Float, Float], Float], state: State
@@ -379,8 +395,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points = self.points
         before = points.phi.copy()
         points.largest[:], points.final[:], points.phi[:], normal = self._followed(state)
-        begun = normal.any(axis=1)
+        begun = np.flatnonzero(normal.any(axis=1))
         points.normal[begun] = normal[begun]
+        if self._sliding is not None and anywhere(self.body.cloud.comm, len(begun)):
+            points.released[begun] = self._released(state, begun, normal[begun])
         self._direct()
         change = largest(self.body.cloud.comm, np.abs(points.phi - before), initial=0.0)
         self.conduction_version += change > 0.0
@@ -415,14 +433,15 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return False
 
     def stored(self) -> tuple[Float, ...]:
-        """Return a copy of degradation factors, largest and final drives, and normals (not collective)."""
+        """Return copies of degradation factors, drives, normals and energies that slip released (not collective)."""
         points = self.points
-        return points.phi.copy(), points.largest.copy(), points.final.copy(), points.normal.copy()
+        arrays = points.phi, points.largest, points.final, points.normal, points.released
+        return tuple(array.copy() for array in arrays)
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Restore stored values (not collective)."""
         points = self.points
-        points.phi[:], points.largest[:], points.final[:], points.normal[:] = stored
+        points.phi[:], points.largest[:], points.final[:], points.normal[:], points.released[:] = stored
         self._direct()
         self.conduction_version += 1
 
@@ -473,12 +492,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return failed, soft[:, None, None, None, None] * symmetric
 
     def point_energy(self, state: State) -> Float:
-        """Compute ``phi psi_open + psi_closed`` and the work of friction (n_points,) [energy / volume]."""
+        """Compute ``phi psi_open + psi_closed`` and the work of slip (n_points,) [energy / volume]."""
         F = self.deformation(state)
         psi = self._degraded(state, lambda laws, only: laws.energy(F, only))
         failed, soft, strain = self._residual(state)
         psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
-        return np.asarray(psi + self._rubbed)
+        return np.asarray(psi + self._rubbed + (1.0 - self.driven(state).phi) * self.points.released)
 
     def _degraded(self, state: State, of: Callable[[PointLaws, Mask | None], Float]) -> Float:
         """Compute ``phi (whole - closed) + closed`` of a quantity of the points (n_points, ...).
@@ -614,6 +633,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         if self._sliding is not None:
             of_slip = {f"closed_{name}": array for name, array in self._sliding.arrays().items()}
             of_slip["work_of_friction"] = KeptArray(owner, self._rubbed)
+            of_slip["released_by_slip"] = KeptArray(owner, points.released)
         return {
             **super().arrays(),
             **of_slip,

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 from petsc4py import PETSc
 
-from pdpetsc.bounds import real_number
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.library import option_used
@@ -55,6 +54,14 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
         raise
 
 
+def _number(text: str) -> float:
+    """Return a number as PETSc reads it, also ``inf`` and hexadecimal ones; 0 for text that PETSc refuses."""
+    for read in (float, float.fromhex):
+        with contextlib.suppress(ValueError, OverflowError):
+            return read(text)
+    return 0.0
+
+
 def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
     """Raise CaseError for nan, a missing value of an option that requires a number, and a tolerance without meaning."""
     for name, option in in_force.items():
@@ -63,7 +70,7 @@ def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
             raise CaseError(f"The option -{name} is nan; give it a number.")
         if not value and NEEDS_NUMBER.search(name):
             raise CaseError(f"The option -{name} has no value; write a number after it.")
-        if name == "snes_rtol" and (real_number(value) or 0.0) > LARGEST_TOLERANCE:
+        if name == "snes_rtol" and _number(value) > LARGEST_TOLERANCE:
             raise CaseError(
                 f"The option -{name} is {value}: steps end with a residual of that share of the loads. Use at most "
                 f"{LARGEST_TOLERANCE:g}."

@@ -391,6 +391,8 @@ def test_what_petsc_refuses_is_one_sentence_on_two_ranks(options, case):
         ({"snes_rtol": None}, "-snes_rtol has no value"),
         ({"snes_rtol": 0.5}, "-snes_rtol is 0.5: steps end with a residual of that share of the loads"),
         ({"snes_rtol": "10"}, "Use at most 0.01"),
+        ({"snes_rtol": "inf"}, "Use at most 0.01"),
+        ({"snes_rtol": "0x1p-1"}, "Use at most 0.01"),
         ({"mg_levels_ksp_max_it": ""}, "-mg_levels_ksp_max_it has no value"),
     ],
 )

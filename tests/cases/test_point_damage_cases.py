@@ -109,7 +109,7 @@ def test_an_edge_crack_runs_at_the_load_of_griffith_and_straight(tmp_path):
 
 @pytest.mark.long
 def test_a_slanted_crack_turns_as_the_largest_hoop_stress_does(tmp_path):
-    """At 45 degrees by 53.1 (Erdogan and Sih); measured are 52.5, and 0.985 of the peak of a cohesive crack.
+    """At 45 degrees by 53.1 (Erdogan and Sih); measured are 57.5, and 0.985 of the peak of a cohesive crack.
 
     20 steps tell the peak within 6 %.
     """
@@ -183,7 +183,7 @@ def test_cold_drives_a_crack_as_far_as_finite_elements_say(ranks, tmp_path):
     assert strip["length"] == pytest.approx(strip["elements"], abs=0.025)
     assert strip["length_error"] < 0.05
     assert strip["tip"] == pytest.approx(strip["elements"], abs=0.05)
-    assert strip["length"] == pytest.approx(0.6276479, rel=1e-6)  # the same on both rank counts
+    assert strip["length"] == pytest.approx(0.6276534, rel=1e-6)  # the same on both rank counts
 
 
 def test_cold_drives_a_crack_alike_in_other_units(tmp_path, monkeypatch):

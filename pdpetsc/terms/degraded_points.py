@@ -38,7 +38,7 @@ MOST_LISTED = 4096
 # Remaining share of the stiffness of a failed point and the control of its particle. It holds detached pieces in place,
 # with forces far below those of intact points.
 RESIDUAL = 1e-8
-# Number of bisections for the distance of a point from a crack. Distances that agree so far are equal.
+# Number of bisections for the distance of a point from a crack: its error is a thousandth of the width of a family.
 HALVINGS = 10
 # Number of directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}

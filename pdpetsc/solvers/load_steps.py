@@ -30,8 +30,8 @@ SWEEPS = 1000
 # Newton is then tried when damage has settled to SETTLED, and accepted if it changes no factor by more than CLOSE.
 NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
-# there change by about as much.
-FIRST = 1e-6
+# there change by about as much, and rounding with them.
+FIRST = 1e-8
 # Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. Damage that is too large
 # in a sweep stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
 SWEPT = 1e-5

@@ -32,7 +32,7 @@ class PointDamage(Declared):
     ``Y_0`` is ``psi_open`` in uniaxial tension at the strength. The stress follows the softening curve as x increases
     from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every
     point whose family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the crack
-    at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. There are no fitted parameters. The normal of
+    at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No parameter is fitted. The normal of
     the crack is the direction of the largest relative displacements in the families around the point.
 
     Gradients and weights are those of the intact body. All forces derive from the energy, and the tangent is symmetric

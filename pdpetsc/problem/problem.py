@@ -199,8 +199,9 @@ class Problem:
         return [term for term in self.terms if term.tool_way is not None]
 
     def force_of_tools(self, state: State) -> Float:
-        """Return the forces of rigid tools (n_rows, dim) [force]."""
-        return self.force_of(self._with_tools, state)
+        """Return the forces of rigid tools (n_rows, dim) [force]; a single zero (1,) without tools."""
+        tools = self._with_tools
+        return self.force_of(tools, state) if tools else np.zeros(1)
 
     def force_by_tools(self, state: State) -> Float:
         """Compute the derivative of the forces by the load factor, with which tools move (n_rows, dim) [force].

@@ -335,7 +335,7 @@ class Equilibrium:
         # Until the residual is computed, use the forces at the start of this solve, not those of the solve before.
         self.external = self._loads_at_start
         self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
-        self._by_tools = np.zeros_like(u) if force is None else self.problem.force_of_tools(state)
+        self._by_tools = np.zeros(1) if force is None else self.problem.force_of_tools(state)
         self._by_tools_at_start = self._by_tools
         return renewed
 

@@ -93,7 +93,7 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     at = [header.index(name) for name in wanted]
     found = []
     for number, row in enumerate(rows, 2):
-        # A decimal comma, for one, splits a number.
+        # For example, a number with a decimal comma is read as two values.
         if any(row[len(header) :]):
             raise CaseError(f"Row {number} of {path} has {len(row)} values, and the header names {len(header)}.")
         try:

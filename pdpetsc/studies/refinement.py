@@ -120,7 +120,7 @@ def converging(
 
 
 def _against(found: Convergence, exact: float, noise: float) -> Convergence:
-    """Return the convergence with its order against an exact value, or with the reason why there is none."""
+    """Return the convergence with its order against an exact value, or with a note why it has no order."""
     h, f = found.sizes, found.values
     if len(h) < 2:
         return replace(found, note=f"an order against an exact value needs two sizes, not {len(h)}")

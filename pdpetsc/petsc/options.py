@@ -56,9 +56,9 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
 
 def _number(text: str) -> float:
     """Return a number as PETSc reads it, also ``inf`` and hexadecimal ones; 0 for text that PETSc refuses."""
-    for read in (float, float.fromhex):
-        with contextlib.suppress(ValueError, OverflowError):
-            return read(text)
+    # Python also reads "abc" as hexadecimal, PETSc only what begins with 0x.
+    with contextlib.suppress(ValueError, OverflowError):
+        return float.fromhex(text) if "0x" in text.lower() else float(text)
     return 0.0
 
 

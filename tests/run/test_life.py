@@ -359,7 +359,7 @@ def test_the_summary_names_the_options_and_those_that_nothing_used(case):
 
 
 REFUSED = {
-    "-snes_rtol abc": "no numeric value",
+    "-snes_rtol abc": "no numeric value",  # which is hexadecimal to Python, not to PETSc
     "-pc_factor_mat_solver_type nothing": "nothing",
     "-pc_type asm -sub_pc_type nothing": "PC type nothing",
     "-pc_type gamg -mg_levels_pc_type nothing": "PC type nothing",

@@ -10,6 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.declare.body_contact import ParticleContact, TwoParts
 from pdpetsc.declare.solvers import Implicit
 from pdpetsc.discrete.communicator import agreed, anywhere, bounds, largest, total
 from pdpetsc.errors import SolveError
@@ -44,7 +45,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
     -----
     Collective.
     """
-    checks = (staircase_note, interface_note, jump_note, wave_note, thin_note, held_load_note, no_load_note)
+    checks = (staircase_note, apart_note, interface_note, jump_note, wave_note, thin_note, held_load_note, no_load_note)
     found = [note_of(case, problem) for note_of in checks]
     return [note for note in found if note]
 
@@ -66,6 +67,14 @@ def staircase_note(case: Case, problem: Problem) -> str:
         f"the cut surface is a staircase of {stairs} steps, and its stress does not converge; use a Mesh or MeshNodes, "
         "or read the stress two horizons away"
     )
+
+
+def apart_note(case: Case, problem: Problem) -> str:
+    """Return the note on several bodies without contact or tie, if it applies (not collective)."""
+    joined = any(isinstance(condition, (TwoParts, ParticleContact)) for condition in case.conditions)
+    if joined or len(case.particles.bodies) == 1:
+        return ""
+    return "no BodyContact, ParticleContact or Tied acts between the bodies: they pass through each other"
 
 
 def interface_note(case: Case, problem: Problem) -> str:

@@ -4,6 +4,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.running.held import held_load_note, layer_notes, no_load_note, support_warnings
+from pdpetsc.running.notes import notes
 from tests.commands import results
 
 region = pd.region
@@ -56,6 +57,13 @@ BOXES = pd.Bodies(
 def test_a_patch_that_resists_rotation_is_told(conditions, told):
     found = said(support_warnings, beam(*conditions))
     assert [warning.split(" holds ")[0] for warning in found] == told
+
+
+@pytest.mark.parametrize("contact", [[], [pd.BodyContact("lower +y", "upper -y")], [pd.ParticleContact()]])
+def test_bodies_that_pass_through_each_other_are_noted(contact):
+    supports = [pd.Clamp("-y"), pd.Displacement("upper +y", y=-6.0, x=0.0)]
+    found = said(notes, beam(*supports, *contact, particles=BOXES))
+    assert [note.split(": ")[1] for note in found if "bodies" in note] == ["they pass through each other"][len(contact):]
 
 
 def test_the_place_of_a_patch_and_the_number_of_its_particles_are_told():

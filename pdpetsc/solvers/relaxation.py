@@ -25,9 +25,12 @@ RENEWED = 2000
 # Time steps between records of the norm and checks for signals.
 KEPT = 100
 # An unloaded body has no forces to compare its residual with. The residual is compared with this share of the largest
-# forces in a state at rest so far, or at the start of the step. Forces of a motion that does not come to rest do not
-# count.
+# forces in a state at rest so far, or at the start of a solve of the step. Forces of a motion that does not come to
+# rest do not count.
 UNLOADED = 1e-3
+# A residual of this share of the tolerated one is at rest, whatever it began with. A body that begins close to
+# equilibrium otherwise iterates to round-off.
+FAR_BELOW = 1e-3
 
 
 class RelaxationSolver(LoadStepSolver):
@@ -37,7 +40,8 @@ class RelaxationSolver(LoadStepSolver):
     most 0.9 of the critical time step ``2 / omega_max``. Power iterations give the largest frequency of ``M^-1 K``.
 
     The body is at rest if residual and change of displacement have decreased to the tolerance times their first values.
-    The residual must also have decreased to the tolerance times the norm of external forces and reactions.
+    The residual must also have decreased to the tolerance times the norm of external forces and reactions. It suffices
+    that it has decreased to a thousandth of that.
 
     The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step, with the
     diagonal stiffness from two successive residuals.
@@ -75,7 +79,7 @@ class RelaxationSolver(LoadStepSolver):
         mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])
         self._mass = problem.supports.lumped_mass(mass)
         self._courant = _courant_step(problem)
-        self._largest = 0.0
+        self._largest = self._at_start = self.t = 0.0
 
     @classmethod
     def make(cls, setting: Setting) -> RelaxationSolver:
@@ -88,6 +92,8 @@ class RelaxationSolver(LoadStepSolver):
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Integrate from ``u`` to rest under the conditions at load parameter ``t`` (collective)."""
+        if t != self.t:
+            self._at_start = 0.0
         self.t = t
         self._prescribed = self.problem.supports.prescribed(t)
         self.problem.start_from(self.problem.state(u, t))
@@ -112,7 +118,8 @@ class RelaxationSolver(LoadStepSolver):
         sums, size = np.zeros(SUMS + 1), norms[0]
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
         density = norm(self._comm, residual / self._mass[:, None])
-        least = UNLOADED * max(self._largest, reference)
+        self._at_start = max(self._at_start, reference)
+        least = UNLOADED * max(self._largest, self._at_start)
         tolerance = self._options.tolerance
         if norms[0] <= tolerance * max(reference, least):
             # The body is in equilibrium already: the first residual is too small as a reference.
@@ -139,8 +146,9 @@ class RelaxationSolver(LoadStepSolver):
                     return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
             if not math.isfinite(size):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
-            balanced = size <= tolerance * max(reference, least)
-            if balanced and dense <= tolerance * density and moving <= tolerance * first_change:
+            tolerated = tolerance * max(reference, least)
+            decreased = dense <= tolerance * density and moving <= tolerance * first_change
+            if size <= FAR_BELOW * tolerated or (decreased and size <= tolerated):
                 self._largest = max(self._largest, reference)
                 norms.append(size)
                 return moved, StepResult(True, "at rest", norms, reference, iteration)

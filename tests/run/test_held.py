@@ -62,8 +62,8 @@ def test_a_patch_that_resists_rotation_is_told(conditions, told):
 @pytest.mark.parametrize("contact", [[], [pd.BodyContact("lower +y", "upper -y")], [pd.ParticleContact()]])
 def test_bodies_that_pass_through_each_other_are_noted(contact):
     supports = [pd.Clamp("-y"), pd.Displacement("upper +y", y=-6.0, x=0.0)]
-    found = said(notes, beam(*supports, *contact, particles=BOXES))
-    assert [note.split(": ")[1] for note in found if "bodies" in note] == ["they pass through each other"][len(contact):]
+    found = [note for note in said(notes, beam(*supports, *contact, particles=BOXES)) if "pass through" in note]
+    assert len(found) == 1 - len(contact)
 
 
 def test_the_place_of_a_patch_and_the_number_of_its_particles_are_told():

@@ -84,6 +84,8 @@ class Equilibrium:
         forces in the step [force].
     tolerance : float
         Tolerance of the residual norm at the last check [force].
+    filled_at : (n_rows, dim) float64 or None
+        Displacement of the last update of the tangent [length].
     accepted, objection : str
         Reason of the last check for accepting the residual, and of another one for refusing the equilibrium; empty for
         none.
@@ -129,6 +131,7 @@ class Equilibrium:
         self._way = self._on_bodies = 0.0
         # Whether damage was held, and the number of rebuilds, at the last update of the tangent.
         self._factored_with = True, 0
+        self.filled_at: Float | None = None
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -197,8 +200,18 @@ class Equilibrium:
         damage = self.problem.damage
         held = damage is not None and damage.softens and damage.frozen
         self._factored_with = held, self.problem.rebuilds
+        self.filled_at = state.u
         with stage(TANGENT):
             self.tangent.update(state, effort)
+
+    def factor(self, state: State, ksp: PETSc.KSP) -> None:
+        """Update the tangent to a state, and set up its linear solver."""
+        self.update(state)
+        ksp.setOperators(self.tangent.mat, self.tangent.preconditioner)
+        nothing, found = self.tangent.mat.createVecs()
+        ksp.solve(nothing, found)
+        nothing.destroy()
+        found.destroy()
 
     def forget(self) -> None:
         """Force the next ``update`` to rebuild the tangent, and discard the pivots of the factor (not collective)."""

@@ -67,17 +67,16 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         super().__init__(problem, assembler, stop)
         self.steps = steps
         self._fixed = problem.supports.fixed
-        self._filled_at: Float | None = None
         self._all_prescribed = not anywhere(self._comm, ~self._fixed)
         tangent = self._equilibrium.tangent
         self._set_up(self._create(), tangent.mat, tangent.preconditioner)
 
     @property
     def tangent_at(self) -> Float | None:
-        """Return the displacement of the last but one Newton iteration, whose tangent the next step starts with."""
+        """Return the displacement at which the tangent was updated last, which the next step starts with."""
         damage = self.problem.damage
         held = not self.problem.linear and (damage is None or not damage.frozen)
-        return self._filled_at if held and self._equilibrium.tangent.holds() else None
+        return self._equilibrium.filled_at if held and self._equilibrium.tangent.holds() else None
 
     @classmethod
     def make(cls, setting: Setting) -> StaticSolver:
@@ -228,8 +227,8 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         if sought.unbalanced is None:
             return u, 0
         if not sought.tangent.holds():
-            self._filled_at = u if self.resumed is None else self.resumed
-            sought.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
+            at = u if self.resumed is None else self.resumed
+            sought.update(self.problem.state(at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
         more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
@@ -248,9 +247,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        state = self._equilibrium.state(self._displacement(x))
-        self._filled_at = state.u
-        self._equilibrium.update(state, effort(snes.getKSP()))
+        self._equilibrium.update(self._equilibrium.state(self._displacement(x)), effort(snes.getKSP()))
 
 
 class _Inverse(Flexibility):

@@ -21,6 +21,8 @@ from pdpetsc.solvers.unique import refuse_mechanism
 
 # Tolerance of intermediate equilibria.
 LOOSE = 1e-3
+# From this number of iterations on the last tangent is that of the equilibrium but for a small part of the step.
+SEVERAL = 2
 # Tolerance of solves for the motion of loose particles, of which this share then stays in a Newton step, and for the
 # response to motions of rigid bodies.
 ROUGH = 1e-5
@@ -224,21 +226,27 @@ class SnesSolver(StepSolver):
         return self._equilibrium.judge(self._read(x), self.rtol) and self._others_converged(x)
 
     def _pivots(self) -> int | None:
-        """Return the negative pivots of the tangent; None unless the tangent was factored.
+        """Return the negative pivots of the tangent at an equilibrium; None unless the tangent was factored.
 
-        Conjugate gradients that met negative curvature, or gave a step along which the energy rises, indicate at least
-        one.
+        The tangent of the second iteration and of later ones is close to that of the equilibrium. That of the first one
+        belongs to the start of the solve, so that the tangent of the equilibrium is factored here; not with softening,
+        with which it would be that of unloading. Conjugate gradients that met negative curvature, or gave a step along
+        which the energy rises, indicate at least one negative pivot.
         """
         ksp = self._tangent_solver
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
         solved = self.meets_curvature and self.snes.getIterationNumber() > 0
         if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
-        found = None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
-        if found is None or not self._bodies:
-            return found
-        at = self._equilibrium.at_prescribed(self._read(self._x))
-        return found + self._bodies.unstable(self.problem.state(at, self._equilibrium.t), self._reply)
+        sought, problem = self._equilibrium, self.problem
+        if ksp is None or (found := sought.negative_pivots(self.snes, ksp)) is None:
+            return None
+        state = sought.state(self._read(self._x))
+        changes = not (problem.linear or problem.softens) and problem.inertia is None
+        if changes and self.snes.getIterationNumber() < SEVERAL:
+            sought.factor(state, ksp)
+            found = sought.negative_pivots(self.snes, ksp)
+        return found + self._bodies.unstable(state, self._reply) if found is not None and self._bodies else found
 
     def _answer(self, b: Float) -> Float:
         """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""

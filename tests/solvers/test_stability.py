@@ -49,6 +49,16 @@ def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, caplog):
     assert any(line.startswith(first) for line in warned)
 
 
+@pytest.mark.parametrize("steps", [2, 5])
+def test_an_equilibrium_found_in_one_iteration_has_its_own_pivots(steps, tmp_path):
+    """They were those of the step before, whose tangent the iteration solves."""
+    case = dataclasses.replace(column(load=1.3 * CRITICAL, steps=steps), options={"snes_rtol": 1e-2})
+    pd.run(case, output=tmp_path)
+    found = summary(tmp_path)["steps"]
+    assert [step["newton_iterations"] for step in found] == [1] * steps
+    assert [step["negative_pivots"] for step in found] == [int(1.3 * (k + 1) > steps) for k in range(steps)]
+
+
 def test_steps_are_shortened_towards_the_critical_force(tmp_path):
     with pytest.raises(pd.SolveError, match="unstable, with 1 negative pivot"):
         pd.run(column(unstable="shorten"), output=tmp_path)

@@ -463,8 +463,8 @@ class EnergyError(Quantity):
     It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
     and the work of loads, supports and tools, or of a rigid body if that is larger: its kinetic energy minus that at
     the start and the work on it, over its largest. It is positive if energy was gained. The numerical damping of
-    ``Implicit`` with a radius below 1 makes it negative. It is 0 where not all energies are known: if bonds soften in a
-    body with deformation gradients or fail with ``Implicit``, in bodies with temperature or eigenstrains, and for
+    ``Implicit`` with a radius below 1 makes it negative. It is nan where not all energies are known: if bonds soften in
+    a body with deformation gradients or fail with ``Implicit``, in bodies with temperature or eigenstrains, and for
     materials that depend on the rate.
 
     Examples
@@ -474,7 +474,8 @@ class EnergyError(Quantity):
     """
 
     def evaluate(self, solution: Solution) -> float:
-        return inertia_of(solution, self).error
+        inertia = inertia_of(solution, self)
+        return inertia.error if inertia.judged else math.nan
 
 
 def inertia_of(solution: Solution, quantity: object) -> Inertia:

@@ -105,6 +105,8 @@ class Inertia(Term):
         Particles that move with one.
     error : float
         Error of the energy balance at the last record over the largest energy so far [-]; set by the solver.
+    judged : bool
+        Whether all energies of this balance are known; set by the solver.
 
     References
     ----------
@@ -126,7 +128,7 @@ class Inertia(Term):
         self.blend = Blend.of(1.0)
         self._free = ~held[:n]
         self._t, self._dt = 0.0, 0.0
-        self.active, self.error = True, 0.0
+        self.active, self.error, self.judged = True, 0.0, True
         self.step: float | None = None
         self.held: Float | None = None
         self.resistance: Resistance | None = None

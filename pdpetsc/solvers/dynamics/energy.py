@@ -81,6 +81,7 @@ class MotionBalance:
         self._judges_contact = bool(names) and all(term.energy_of in names for term in self._outside)
         self._created = resume.get(CREATED, 0.0)
         self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed
+        inertia.judged = self.known or bool(inertia.bodies)
         self._rigid_at_start, self._rigid_work = resume.get(RIGID_START, 0.0), resume.get(RIGID_WORK, 0.0)
         self._rigid_largest = resume.get(RIGID_LARGEST, 0.0)
         self._begun = START in resume

@@ -185,10 +185,11 @@ class ExplicitSolver(Solver):
         if not printed(converged.t, each):
             return None
         count, broken = converged.result.iterations, converged.result.broken
+        off = f", energy off by {self._inertia.error:.1e}" if self._inertia.judged else ""
         return (
             f"step {number:4d}  t = {converged.t:<8.6g} time {converged.t * self._declared.end:.4g}, "
-            f"{count} time step{'s' if count > 1 else ''} of {each * self._declared.end / count:.3g}, energy off by "
-            f"{self._inertia.error:.1e}{f', {broken} bonds broke' if broken else ''}"
+            f"{count} time step{'s' if count > 1 else ''} of {each * self._declared.end / count:.3g}"
+            f"{off}{f', {broken} bonds broke' if broken else ''}"
         )
 
     def _count(self, span: float, frequency: float) -> int:

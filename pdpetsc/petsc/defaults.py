@@ -13,6 +13,8 @@ LOOSE = 1e-3
 # Growth of the residual at which a linear solver gives up. The preconditioner does not know point supports: in its norm
 # the residual grows by 1e5 before it falls. PETSc would give up at 1e4.
 GROWN = 1e12
+# Directions of GMRES along a path before it restarts.
+DIRECTIONS = 100
 
 # Options of a linear solver; with several blocks, each block has its own.
 OF_A_SOLVER = ("ksp_", "pc_", "mat_", "mg_")
@@ -68,9 +70,10 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
 
     If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
 
-    Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Behind a
-    limit of the load the tangent is indefinite. MINRES solves it with the positive definite preconditioner of two
-    levels; conjugate gradients would stop.
+    Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Beyond a
+    limit of the load the tangent is indefinite, and so is its preconditioner: the background grid and GAMG solve long
+    waves with their own tangents. GMRES solves such systems. Conjugate gradients and MINRES need a positive definite
+    preconditioner. The restart is long because systems close to the limit need many directions.
 
     With damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as Newton
     converges (Eisenstat1996).
@@ -99,12 +102,13 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
-    defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    definite = problem.symmetric and solver.of_energy
+    defaults |= {"ksp_type": "cg" if definite else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     defaults["ksp_divtol"] = GROWN
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults["ksp_pc_side"] = "right"
-    if choice.levels and problem.symmetric and not solver.of_energy:
-        defaults["ksp_type"] = "minres"
+        if not solver.of_energy:
+            defaults["ksp_gmres_restart"] = DIRECTIONS
     if not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:

@@ -17,6 +17,8 @@ from pdpetsc.arrays import Float
 
 # Types of SNES that are Newton's method.
 NEWTON = ("newtonls", "newtontr", "newtontrdc", "ksponly")
+# PETSc's PC_SETUP_ERROR.
+PC_FAILED = -1
 # Parameters of mallopt in glibc, its default number of mappings, and the largest threshold that it accepts [bytes].
 M_MMAP_THRESHOLD, M_MMAP_MAX, MAPPINGS, LARGE = -3, -4, 65536, 2**25
 
@@ -99,6 +101,11 @@ def set_up_failed(ksp: PETSc.KSP) -> bool:
     failed = ctypes.c_int(0)
     _check(_library().PCGetFailedReason(ctypes.c_void_p(ksp.getPC().handle), ctypes.byref(failed)))
     return failed.value != 0
+
+
+def set_failed(pc: PETSc.PC, failed: bool) -> None:
+    """Set whether a preconditioner has failed, so that its linear solver fails, or reset it (collective)."""
+    _check(_library().PCSetFailedReason(ctypes.c_void_p(pc.handle), PC_FAILED if failed else 0))
 
 
 def refactors(snes: PETSc.SNES) -> bool:

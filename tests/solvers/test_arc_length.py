@@ -43,6 +43,27 @@ def test_steps_have_the_length_that_they_should(tmp_path):
     assert sum(lengths) == pytest.approx(case.solver.measure.end, rel=0.05)
 
 
+def coarse_arch(**options):
+    """Return the arch with three cells over the height and solver options."""
+    case = load_case(ROOT / ARCH)(n=3, step=0.05)
+    return dataclasses.replace(case, expect={}, results=None, picture=None, options=options)
+
+
+def test_iterative_solvers_pass_the_limit_of_the_load(tmp_path):
+    """Beyond the limit, the tangent and its preconditioners are indefinite; the path is that of the direct solver."""
+    direct = pd.run(coarse_arch(), tmp_path / "direct").history
+    for name, options in {"levels": {"pd_jacobian": "matfree"}, "gamg": {"pc_type": "gamg"}}.items():
+        found = pd.run(coarse_arch(**options), tmp_path / name).history
+        np.testing.assert_allclose(found["t"], direct["t"], rtol=1e-5)
+        np.testing.assert_allclose(found["top"], direct["top"], rtol=1e-5)
+
+
+def test_a_path_names_the_linear_solver_that_failed(tmp_path):
+    """MINRES needs a positive definite preconditioner; a solve that fails without an iteration ends Newton's method."""
+    with pytest.raises(pd.SolveError, match="the linear solver failed"):
+        pd.run(coarse_arch(pd_jacobian="matfree", ksp_type="minres"), tmp_path)
+
+
 def test_a_path_by_its_length_does_not_restart(tmp_path):
     case = dataclasses.replace(load_case(ROOT / ARCH)(n=2, step=0.2), expect={}, results=None, picture=None)
     pd.run(case, tmp_path / "first")

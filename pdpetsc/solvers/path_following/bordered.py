@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.petsc.library import set_up_failed, start_anew
+from pdpetsc.petsc.library import set_failed, set_up_failed, start_anew
 from pdpetsc.petsc.tangent import PetscTangent
 
 # Largest number of solves for each column, to the accuracy that the last unknowns of the solve before require.
@@ -70,6 +70,8 @@ class Bordered:
         self._C: Callable[[Float], Float] = lambda values: np.zeros(n_last)
         self._D = np.zeros((n_last, n_last))
         self.iterations, self.enough = 0, 0.0
+        # Whether a solve of the tangent has failed without an iteration.
+        self._failed = False
         self.forget()
         self._outer.setOptionsPrefix("bordered_")
         self._outer.setType("preonly")
@@ -120,9 +122,14 @@ class Bordered:
         self.put(y, self._y.array_r, self._C(values) + self._D @ last)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve the system; called by PETSc. The result is not finite if the system has no solution."""
+        """Solve the system; called by PETSc. The result is not finite if the system has no solution.
+
+        The preconditioner fails if a solve of the tangent fails without an iteration. Its step would be zero, and SNES
+        would repeat it.
+        """
         values, last = self.split(x)
         self._r.array = values
+        self._failed = False
         if set_up_failed(self.ksp):
             start_anew(self.ksp)
             y.set(np.nan)
@@ -133,6 +140,7 @@ class Bordered:
             self._solve(self._r, self._y)
             for column, Y in zip(self._B, self._Y, strict=True):
                 self._solve(column, Y)
+        set_failed(pc, self._failed)
         z = self._last_unknowns(last)
         self._y.maxpy(-z, self._Y)
         self.put(y, self._y.array_r, z)
@@ -184,7 +192,9 @@ class Bordered:
         if goal > 0.0:
             self.ksp.setTolerances(rtol=goal / b.norm())
         self.ksp.solve(b, y)
-        self.iterations += self.ksp.getIterationNumber()
+        iterations = self.ksp.getIterationNumber()
+        self.iterations += iterations
+        self._failed |= self.ksp.getConvergedReason() < 0 and iterations == 0
 
     def free(self) -> None:
         """Free the PETSc objects except the tangent."""

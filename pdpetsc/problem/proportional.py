@@ -26,8 +26,9 @@ TOUCH = 1e-9
 def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
     """Raise on all ranks unless loads and prescribed unknowns are proportional to the load parameter (collective).
 
-    Loads must not depend on the displacement. The forces of all other terms except the material must vanish with the
-    displacement and not depend on the load parameter. The residual is then ``f_int(u) - t f_ext``.
+    Loads must not depend on the displacement, unless the solver also uses load parameters outside [0, 1] and the load
+    is ``Term.proportional``. The forces of all other terms except the material must vanish with the displacement and
+    not depend on the load parameter. The residual is then ``f_int(u) - t f_ext``, in the other case with ``f_ext(u)``.
 
     Parameters
     ----------
@@ -62,7 +63,10 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
             driven = beyond and term.tool_way is not None
             if driven:
                 _refuse_tool(problem, term, who, times)
-            _refuse_term(problem, term, who, (0.0,) if driven else (1.0, *times))
+            if beyond and term.load and term.proportional:
+                _refuse_following(problem, term, who, times)
+            else:
+                _refuse_term(problem, term, who, (0.0,) if driven else (1.0, *times))
 
 
 def _refuse_tool(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
@@ -71,6 +75,22 @@ def _refuse_tool(problem: Problem, term: Term, who: str, times: Sequence[float])
         raise CaseError(
             f"{who} needs tools that move in proportion to the step time and do not turn; take the schedule Ramp, or "
             f"load steps with Newton."
+        )
+
+
+def _refuse_following(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
+    """Raise unless a load that depends on the displacement is proportional to the load parameter (collective)."""
+    u, gid = np.zeros(problem.supports.fixed.shape), problem.body.cloud.gid[: problem.body.cloud.n_owned]
+    u[: len(gid)] = 0.1 * mean_spacing(problem.body) * irregular(gid, problem.dim)
+
+    def force(t: float) -> Float:
+        return problem.force_of([term], State(problem.body, u, problem.clock(t)))
+
+    whole = force(1.0)
+    if any(_differ(problem, force(t), t * whole, whole) for t in times):
+        raise CaseError(
+            f"{who} needs loads proportional to the step time, and {type(term).__name__} is not; take the schedule "
+            f"Ramp, or load steps with Newton."
         )
 
 

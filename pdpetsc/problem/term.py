@@ -69,8 +69,12 @@ class Term(ABC):
     symmetric : bool
         Whether the tangent is symmetric.
     load : bool
-        Whether the term is a load. The residual is compared with loads and reactions. A foundation is not a load. Path
-        following and the event-driven solver require dead loads proportional to the load parameter.
+        Whether the term is a load. The residual is compared with loads and reactions. A foundation is not a load. The
+        event-driven solver requires dead loads proportional to the load parameter. Path following also supports
+        ``proportional`` ones.
+    proportional : bool
+        Whether a load that depends on the displacement is proportional to the load parameter at every displacement, if
+        it is so on the undeformed body.
     of_solver : bool
         Whether the term only helps a solver to converge. Outputs do not contain it.
     horizons : int
@@ -106,6 +110,7 @@ class Term(ABC):
     linear: bool = True
     symmetric: bool = True
     load: bool = False
+    proportional: bool = False
     of_solver: bool = False
     horizons: int = 0
     energy_of: str = "extra"

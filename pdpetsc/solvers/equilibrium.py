@@ -121,6 +121,8 @@ class Equilibrium:
         self.reference = self.tolerance = 0.0
         self.accepted = self.objection = ""
         self._loads: Float | None = None
+        # Whether they follow the deformation from these at the start of the solve.
+        self._follow = False
         # Root mean square of the displacement of iterates in the current solve: the first and the largest value.
         self._moved = 0.0, 0.0
         # Most iterations of SNES, which starts again with other contacts and moved rigid bodies.
@@ -137,11 +139,17 @@ class Equilibrium:
         """Free the PETSc objects."""
         self.tangent.destroy()
 
-    def impose(self, t: float, prescribed: Float | None = None, loads: Float | None = None) -> None:
-        """Set the conditions of a load parameter, or known prescribed unknowns and loads."""
+    def impose(
+        self, t: float, prescribed: Float | None = None, loads: Float | None = None, follow: bool = False
+    ) -> None:
+        """Set the conditions of a load parameter, or known prescribed unknowns and loads.
+
+        If loads ``follow`` the deformation, ``loads`` are those at the start of the solve. The residual then computes
+        them at its displacement and the load parameter.
+        """
         self.t = t
         self.prescribed = self.problem.supports.prescribed(t) if prescribed is None else prescribed
-        self._loads = loads
+        self._loads, self._follow = loads, follow
 
     def at_prescribed(self, x: Float) -> Float:
         """Compute unknowns that satisfy the constraints (n_rows, dim) from the independent ones."""
@@ -159,7 +167,8 @@ class Equilibrium:
             force = self.problem.internal_force(state)
             if force is None:
                 return None
-            self.external = self.problem.external_force(state) if self._loads is None else self._loads
+            known = None if self._follow else self._loads
+            self.external = self.problem.external_force(state) if known is None else known
         residual = force - self.external
         self._reaction, self._by_tools = np.where(self.free, 0.0, residual), self.problem.force_of_tools(state)
         # Tied components follow the independent ones, so their residual is zero.

@@ -36,6 +36,7 @@ class PressureOnDeformed(FollowingLoad):
     """
 
     symmetric = False
+    proportional = True
     horizons = 2
 
     def __init__(self, body: Body, declared: FollowerPressure, name: str) -> None:

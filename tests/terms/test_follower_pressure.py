@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import results
+from pdpetsc.command_line.cli import load_case
+from tests.commands import ROOT, results
 
 E = 100.0
 
@@ -104,6 +108,107 @@ def test_units_and_ranks_change_nothing(tmp_path):
     np.testing.assert_allclose(found[1:], found[0], rtol=1e-9)
 
 
-def test_a_path_needs_dead_loads(tmp_path):
+BALLOON = "runs/stability/balloon.py"
+
+
+def balloon(**values):
+    """Return a ring that is inflated beyond its largest pressure."""
+    case = load_case(ROOT / BALLOON)(**values)
+    return dataclasses.replace(case, expect={}, results=None, picture=None)
+
+
+def test_a_path_has_the_derivatives_of_its_residual(rng):
+    """By the displacements and by the load factor, at a deformed ring that is not in equilibrium."""
+    prepared = pd.prepare(balloon(n=1))
+    solver = prepared.make_solver()
+    *_, last = itertools.islice(prepared.march(solver), 12)
+    assert last.t > 0.3
+    solver._aim(last.u, 0.05)
+    x, step = solver._x.duplicate(), solver._x.duplicate()
+    u = last.u + 0.01 * rng.uniform(-1.0, 1.0, last.u.shape)
+    solver._bordered.put(x, u / solver._scales.length, np.array([1.1 * last.t]))
+    solver._jacobian(solver.snes, x, solver._bordered.mat, solver._bordered.mat)
+    for du, load in ((0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+        change = du * rng.uniform(-1.0, 1.0, u.shape)
+        solver._bordered.put(step, change / solver._scales.length, np.array([load]))
+        found = []
+        for h in (1e-6, -1e-6):
+            at, residual = x.duplicate(), x.duplicate()
+            at.waxpy(h, step, x)
+            solver._residual(solver.snes, at, residual)
+            found.append(residual.array.copy())
+        exact = x.duplicate()
+        solver._bordered.mat.mult(step, exact)
+        difference = (found[0] - found[1]) / 2e-6
+        assert np.abs(difference - exact.array).max() < 1e-6 * np.abs(difference).max()
+    solver.destroy()
+
+
+def test_an_inflated_ring_passes_its_largest_pressure(tmp_path):
+    """Against the radial equilibrium; up to the limit the equilibria are those of load steps."""
+    case = load_case(ROOT / BALLOON)(step=0.1)
+    path = pd.run(dataclasses.replace(case, picture=None), tmp_path / "path")
+    found = path.summary["results"]
+    assert found["limit"] == pytest.approx(1.0, abs=0.005)
+    assert found["furthest"] < 0.005
+    assert found["last"] < 0.85
+    # The first step starts without a load; its tolerance is relative to the load of its end.
+    assert {step["newton_iterations"] for step in path.summary["steps"]} <= {2, 3, 4}
+    t, grown = (np.array(path.history[name]) for name in ("t", "grown"))
+    below = int(np.argmax(t))
+    times = [float(one) for one in t[1:below]]
+    assert times[-1] > 0.9
+    steps = balloon(solver="steps", pressure=times[-1])
+    steps = dataclasses.replace(steps, steps=pd.Steps(times=[one / times[-1] for one in times]))
+    loaded = pd.run(steps, tmp_path / "steps").history["grown"]
+    np.testing.assert_allclose(loaded, grown[:below], rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.long
+def test_a_path_of_a_balloon_depends_on_neither_ranks_nor_matrix(tmp_path):
+    words = ["n=2", "step=0.1"]
+    one = results(BALLOON, *words, output=tmp_path / "one")["results"]
+    for name, more, ranks in (("two", [], 2), ("free", ["-pd_jacobian", "matfree"], 1)):
+        other = results(BALLOON, *words, *more, ranks=ranks, output=tmp_path / name)["results"]
+        assert other == pytest.approx(one, rel=1e-6), name
+
+
+@pytest.mark.long
+def test_a_path_with_a_following_load_restarts(tmp_path):
+    """By an opening, which a checkpoint determines."""
+    whole = opened(0.6)
+    one = pd.run(whole, tmp_path / "whole").history
+    pd.run(opened(0.4), tmp_path / "half")
+    other = pd.run(whole, tmp_path / "rest", restart=tmp_path / "half").history
+    assert other["t"][-1] == pytest.approx(one["t"][-1], rel=1e-8)
+
+
+def opened(end):
+    """Return the ring, whose path prescribes the growth of its inner radius."""
+    right = pd.region.Nearest((1.0, 0.0))
+    by_opening = pd.PathFollowing(pd.Opening("x", right, step=0.1, end=end), first=0.05, until=0.0)
+    return dataclasses.replace(balloon(n=1), solver=by_opening)
+
+
+@pytest.mark.parametrize(
+    ("load", "message"),
+    [
+        (pd.FollowerPressure("+y", 20.0, schedule=pd.Hold()), "proportional to the step time"),
+        (pd.Centrifugal(pd.region.All(), speed=1.0, about=(0.0, 0.0)), "proportional to the step time"),
+    ],
+)
+def test_a_path_refuses_loads_that_are_not_proportional(load, message, tmp_path):
+    case = scene(2, solver=pd.PathFollowing(pd.Opening("y", pd.region.Face("+y"), step=0.01, end=0.1)))
+    case = dataclasses.replace(
+        case, conditions=[case.conditions[0], load], material=pd.NeoHookean(E=E, nu=0.3, density=1.0)
+    )
+    with pytest.raises(pd.CaseError, match=message):
+        pd.run(case, tmp_path)
+
+
+def test_a_path_refuses_a_pressure_in_cracks(tmp_path):
+    law = pd.PointDamage(pd.softening.Linear(), Gc=1.0, onset=0.02, split=pd.split.Whole())
+    case = scene(2, solver=pd.PathFollowing(pd.Dissipation(step=0.01)), damage=law)
+    case = dataclasses.replace(case, conditions=[case.conditions[0], pd.CrackPressure(pd.region.All(), 1.0)])
     with pytest.raises(pd.CaseError, match="do not depend on the displacement"):
-        pd.run(scene(2, solver=pd.PathFollowing(pd.Opening("y", pd.region.Face("+y"), step=0.01, end=0.1))), tmp_path)
+        pd.run(case, tmp_path)

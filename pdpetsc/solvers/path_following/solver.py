@@ -46,12 +46,15 @@ RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference"
 
 
 class PathSolver(SnesSolver):
-    """Solve ``f_int(u) = lambda f_ext``, ``u = lambda U`` if prescribed, and one constraint by Newton's method.
+    """Solve ``f_int(u) = lambda f_ext(u)``, ``u = lambda U`` if prescribed, and one constraint by Newton's method.
 
     Unknowns are the displacements, the load factor ``lambda``, and the motions of rigid regions with a load, whose
     equations are the balance of that load. Each linear solve needs one solve with the tangent for the residual, one for
     the load and one for each motion. SNES solves the bordered system; the options of KSP and PC are those of the
     tangent.
+
+    Loads are dead, or follow the deformation and are proportional to ``lambda`` at every displacement. The tangent then
+    contains ``lambda`` times their stiffness, and the column of ``lambda`` is their force at the present displacement.
 
     Parameters
     ----------
@@ -88,6 +91,9 @@ class PathSolver(SnesSolver):
             problem.supports.prescribed(1.0),
             problem.external_force(problem.state(np.zeros(fixed.shape), 1.0)),
         )
+        # Loads of load factor 1 at the start of a solve [force], and whether loads depend on the displacement.
+        self._loads = self._whole[1]
+        self._load_follows = any(term.load and term.proportional for term in problem.terms)
         # Change of the unknowns with the load factor if the independent ones do not move [length].
         self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
         self._bodies.follow_load()
@@ -228,6 +234,7 @@ class PathSolver(SnesSolver):
         self._target = t
         unit = self._options.first if of.by_load else self._options.measure.step
         self._force = max(self._carried, self._scales.force * float(np.finfo(float).eps)) / unit
+        self._loads = self._loads_by_factor(State(self.problem.body, u, self.problem.clock(self.load)))
         self._impose(self.load)
         if sought.begin(u):
             self._use_tangent()
@@ -283,11 +290,11 @@ class PathSolver(SnesSolver):
 
     def _impose(self, load: float) -> None:
         """Set the conditions of a load factor, with the bodies at their present places."""
-        prescribed, loads = (load * one for one in self._whole)
+        prescribed, loads = load * self._whole[0], load * self._loads
         if self._bodies:
             prescribed = self.problem.supports.prescribed(load)
             self._equilibrium.carry(abs(load) * float(np.abs(self._on_bodies).sum()), self._bodies.way)
-        self._equilibrium.impose(load, prescribed, loads)
+        self._equilibrium.impose(load, prescribed, loads, self._load_follows)
 
     def _use_tangent(self) -> None:
         """Border the new matrices of the tangent."""
@@ -395,7 +402,7 @@ class PathSolver(SnesSolver):
         else:
             # The bordered system has no solution, so that its residual is no number, and the solve fails.
             load = np.nan
-            sought.impose(self.load, *(load * one for one in self._whole))
+            sought.impose(self.load, load * self._whole[0], load * self._loads)
         at, resisted = self._begun
         sought.resisted = (load - at) * resisted
         return values * self._scales.length, load
@@ -452,12 +459,20 @@ class PathSolver(SnesSolver):
                 self.problem.revert()
                 raise SolveError(UNRESISTED)
 
+    def _loads_by_factor(self, state: State) -> Float:
+        """Return the derivative of the loads by the load factor (n_rows, dim) [force]."""
+        if not self._load_follows:
+            return self._whole[1]
+        return self.problem.external_force(State(state.body, state.u, self.problem.clock(1.0)))
+
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
         state = sought.state(self._read(x))
         sought.update(state)
         # Loads less the forces of moving tools, by the load factor.
-        loads = self._whole[1] - self.problem.force_by_tools(state) if self._has_tools else self._whole[1]
+        loads = self._loads_by_factor(state)
+        if self._has_tools:
+            loads = loads - self.problem.force_by_tools(state)
         bodies = self._bodies.coupled(state, self._bodies.spins, loads)
         # Load factor, then motions: displacements if independent unknowns do not move, and the change of the loads.
         held, motions = np.concatenate([self._held[None], bodies.carried]), np.eye(len(bodies.carried) + 1)[:, 1:]

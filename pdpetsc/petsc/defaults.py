@@ -71,9 +71,10 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     If bonds fail, MUMPS detects null pivots, of particles that lose all their bonds in an iteration.
 
     Along a path the residual with its constraint is not the gradient of an energy, so full steps are used. Beyond a
-    limit of the load the tangent is indefinite, and so is its preconditioner: the background grid and GAMG solve long
-    waves with their own tangents. GMRES solves such systems. Conjugate gradients and MINRES need a positive definite
-    preconditioner. The restart is long because systems close to the limit need many directions.
+    limit of the load the tangent is indefinite. If points fail, the preconditioner of two levels does not know the
+    softening and stays positive definite, as MINRES needs it, which stores few vectors. Otherwise the preconditioner is
+    indefinite too, since the background grid and GAMG solve long waves with their own tangents, and GMRES solves the
+    system. Its restart is long because systems close to the limit need many directions.
 
     With damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as Newton
     converges (Eisenstat1996).
@@ -105,6 +106,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     definite = problem.symmetric and solver.of_energy
     defaults |= {"ksp_type": "cg" if definite else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     defaults["ksp_divtol"] = GROWN
+    if choice.levels and problem.symmetric and of_points and not definite:
+        defaults["ksp_type"] = "minres"
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults["ksp_pc_side"] = "right"
         if not solver.of_energy:

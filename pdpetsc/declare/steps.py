@@ -55,8 +55,10 @@ class Steps(Declared):
         the step as failed, so that the run ends within the smallest step of the critical load. ``refuse`` ends the run.
         ``switch`` moves an elastic body along the unstable eigenvector of its tangent to a stable equilibrium under the
         same load, for example from a straight column to a bent one. If it finds none, the step is shortened. The
-        mean displacement of the eigenvector is positive. All but ``warn`` end a run whose pivots are not counted: the
-        solver is iterative, the tangent not symmetric, or damage was held during a jump.
+        mean displacement of the eigenvector is positive. With an unsymmetric tangent, of contact or pressure that
+        follows, ``shorten`` and ``refuse`` count the pivots of its symmetric part; without any the equilibrium is
+        stable. All but ``warn`` end a run whose pivots are not counted: the solver is iterative, the tangent is not
+        symmetric and softens, or damage was held during a jump.
     plastic_growth : float, optional
         Largest growth of the accumulated plastic strain at any point in a step [-]. A step with a larger growth is
         repeated with a smaller size, and the size of the next step is limited accordingly.

@@ -146,6 +146,29 @@ def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
     return int(negative)
 
 
+def negative_pivots_of_symmetric_part(mat: PETSc.Mat) -> int | None:
+    """Count the negative eigenvalues of ``(A + A^T) / 2`` by a Cholesky factor of MUMPS (collective)."""
+    part = mat.transpose(PETSc.Mat())
+    part.axpy(1.0, mat)
+    part.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    ksp = PETSc.KSP().create(comm=mat.comm)
+    ksp.setOptionsPrefix("symmetric_part_")
+    ksp.setType("preonly")
+    pc = ksp.getPC()
+    pc.setType("cholesky")
+    pc.setFactorSolverType("mumps")
+    ksp.setOperators(part)
+    pc.setFactorSetUpSolverType()
+    # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
+    pc.getFactorMatrix().setMumpsIcntl(13, 1)
+    nothing, found = part.createVecs()
+    ksp.solve(nothing, found)
+    count = negative_pivots(ksp, part) if ksp.getConvergedReason() > 0 else None
+    for one in (nothing, found, ksp, part):
+        one.destroy()
+    return count
+
+
 def null_pivots(ksp: PETSc.KSP) -> int:
     """Count the null pivots that MUMPS has replaced in its last factor; 0 for other solvers (collective)."""
     pc = ksp.getPC()

@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import anywhere, bounds, norm, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
-from pdpetsc.petsc.library import negative_pivots, refactors
+from pdpetsc.petsc.library import negative_pivots, negative_pivots_of_symmetric_part, refactors
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
@@ -332,6 +332,16 @@ class Equilibrium:
         if not known or not refactors(snes):
             return None
         return negative_pivots(ksp, self.tangent.mat)
+
+    def pivots_of_symmetric_part(self, state: State, ksp: PETSc.KSP) -> int | None:
+        """Return the negative pivots of the symmetric part of the tangent at a state; None unless it is factored.
+
+        If there are none, no perturbation grows: the tangent does positive work in every displacement.
+        """
+        if ksp.getPC().getType() != "lu" or self.problem.softens or self.problem.constrained:
+            return None
+        self.update(state)
+        return negative_pivots_of_symmetric_part(self.tangent.mat)
 
     def interrupted(self) -> int:
         """Return PETSc's reason for a solve that a signal stops (not collective)."""

@@ -66,6 +66,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
     ) -> None:
         super().__init__(problem, assembler, stop)
         self.steps = steps
+        self.asks_for_stability = steps.unstable != "warn"
         self._fixed = problem.supports.fixed
         self._all_prescribed = not anywhere(self._comm, ~self._fixed)
         tangent = self._equilibrium.tangent

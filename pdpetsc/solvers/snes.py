@@ -51,6 +51,8 @@ class SnesSolver(StepSolver):
     """
 
     unit = "Newton"
+    # Whether negative pivots are worth a factorisation of their own.
+    asks_for_stability = False
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool]) -> None:
         self.problem = problem
@@ -230,8 +232,9 @@ class SnesSolver(StepSolver):
 
         The tangent of the second iteration and of later ones is close to that of the equilibrium. That of the first one
         belongs to the start of the solve, so that the tangent of the equilibrium is factored here; not with softening,
-        with which it would be that of unloading. Conjugate gradients that met negative curvature, or gave a step along
-        which the energy rises, indicate at least one negative pivot.
+        with which it would be that of unloading. If the steps depend on stability, those of the symmetric part of an
+        unsymmetric tangent are counted. Conjugate gradients that met negative curvature, or gave a step along which the
+        energy rises, indicate at least one negative pivot.
         """
         ksp = self._tangent_solver
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
@@ -239,9 +242,11 @@ class SnesSolver(StepSolver):
         if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
         sought, problem = self._equilibrium, self.problem
-        if ksp is None or (found := sought.negative_pivots(self.snes, ksp)) is None:
+        if ksp is None:
             return None
-        state = sought.state(self._read(self._x))
+        found, state = sought.negative_pivots(self.snes, ksp), sought.state(self._read(self._x))
+        if found is None:
+            return sought.pivots_of_symmetric_part(state, ksp) if self.asks_for_stability and not self._bodies else None
         changes = not (problem.linear or problem.softens) and problem.inertia is None
         if changes and self.snes.getIterationNumber() < SEVERAL:
             sought.factor(state, ksp)

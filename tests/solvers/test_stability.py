@@ -177,3 +177,18 @@ def test_a_column_beyond_its_critical_load_is_the_elastica(tmp_path):
     bent = results("runs/stability/elastica.py", "n=4", output=tmp_path)["results"]
     for degrees, load in ((20, 1.015), (40, 1.063), (60, 1.152)):
         assert bent[f"load_{degrees}"] == pytest.approx(load, rel=0.01), degrees
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_unsymmetric_tangents_are_judged_by_their_symmetric_part(ranks, tmp_path):
+    """A tool with friction that touches nothing makes the tangent of the column unsymmetric, and does not change it."""
+    text = "from tests.solvers.test_stability import *\n\n\ndef case(load=1.0):\n"
+    text += "    given = column(load=load * CRITICAL, steps=2, unstable='refuse')\n"
+    text += "    far = pd.Contact('-y', pd.RigidPlane((0.0, -5.0), (0.0, 1.0)), friction=0.3)\n"
+    text += "    return dataclasses.replace(given, conditions=[*given.conditions, far])\n"
+    (tmp_path / "column.py").write_text(text)
+    below = results(tmp_path / "column.py", "load=0.9", ranks=ranks, output=tmp_path / "below")
+    assert [step["negative_pivots"] for step in below["steps"]] == [0, 0]
+    with pytest.raises((pd.SolveError, AssertionError), match="the equilibrium is unstable, with 1 negative pivot"):
+        results(tmp_path / "column.py", "load=1.3", ranks=ranks, output=tmp_path / "beyond")
+    assert [step["negative_pivots"] for step in summary(tmp_path / "beyond")["steps"]] == [0]

@@ -7,23 +7,30 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, row_of_entries
+from pdpetsc.clock import START
 from pdpetsc.declare.tools import Contact
 from pdpetsc.discrete.communicator import anywhere, largest, smallest
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.rigid_body import RigidBody
+from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, Points
+from pdpetsc.terms.shared_space import bodies_of
 
 # Smallest and largest number of places between the ends of a step at which a tool may not lie within the body; they are
 # half a spacing apart, as far as the largest number allows.
 PLACES, MOST_PLACES = 16, 1000
 # Largest turn of a tool with friction in a step [rad]: friction sees the chord of the path.
 TURN = 0.5
+# A tool in the body at the start. Depth of points of the surface in a wide tool that are not in it, in spacings; width
+# of a tool, in spacings, below which no particle is in it; points on each side of a facet; distance of the particles
+# next to that of a facet, in nearest distances, and how far they may be off its plane, in their distance.
+SHALLOW, WIDE, PER_SIDE, BESIDE, FLAT = 0.5, 4.0, 8, 1.25, 0.25
 
 
 class ContactForces(FacetContact):
@@ -67,7 +74,8 @@ class ContactForces(FacetContact):
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
-        deepest = self._off(rest)
+        bodies = bodies_of(body, mask)
+        deepest = max(self._off(rest), self._depth_at_particles(bodies), self._depth_between_facets(facets.area))
         if deepest > OVERLAP * spacing:
             raise CaseError(f"{title} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch.")
         # Smallest gap of all converged states.
@@ -77,6 +85,49 @@ class ContactForces(FacetContact):
     def stencils(self) -> tuple[GlobalIndex, LocalIndex]:
         """Return the members of the facets (not collective)."""
         return self._at.stencils.point_ptr, self._at.stencils.members
+
+    def _depth_at_particles(self, bodies: list[int]) -> float:
+        """Compute the depth of the particles of bodies in the tool at the start [length] (collective)."""
+        cloud = self.body.cloud
+        inside = np.ones(cloud.n_owned, dtype=bool)
+        if cloud.body is not None:
+            inside &= np.isin(cloud.body[: cloud.n_owned], bodies)
+        if "fictitious" in cloud.sets:
+            inside &= ~cloud.sets["fictitious"][: cloud.n_owned]
+        return self._depth(cloud.x[: cloud.n_owned][inside], WIDE)
+
+    def _depth_between_facets(self, area: Float) -> float:
+        """Compute the depth of the sides of the facets in a tool that is narrower than these [length] (collective).
+
+        The points are in the plane of a facet, up to half-way to the particles next to its own. No crack is between.
+        """
+        x, at, of = self.body.cloud.x, self._at.stencils, row_of_entries(self._at.stencils.point_ptr)
+        spacing, normal = nearest_distances(self.body)[at.owner[of]], (area / self._at.area[:, None])[of]
+        step = x[at.members] - x[at.owner[of]]
+        size, off = np.linalg.norm(step, axis=1), (step * normal).sum(axis=1)
+        near = self._tool.gap(*self._start(self._x))[0][of] < spacing
+        beside = near & (size > 0.0) & (size < BESIDE * spacing) & (np.abs(off) < FLAT * size)
+        step = (step - off[:, None] * normal)[beside]
+        shares = np.arange(1, PER_SIDE + 1) / (2 * PER_SIDE)
+        points = self._x[of[beside], None] + shares[:, None] * step[:, None]
+        return self._depth(points.reshape(-1, self.body.dim), 1.0)
+
+    def _depth(self, x: Float, width: float) -> float:
+        """Compute the largest depth of points (n, dim) of the body in the tool at the start [length] (collective).
+
+        Points near the surface may be in a tool that is wider than ``width`` spacings, up to ``SHALLOW``: it touches
+        the centroids of facets only, and a surface is curved or has steps.
+        """
+        x, seen = self._start(x)
+        g, n, _ = self._tool.gap(x, seen)
+        width *= self._spacing
+        beyond = self._tool.gap(x, seen - width * n)[0]
+        deep = (g < -SHALLOW * self._spacing) | (beyond > g - 0.5 * width)
+        return largest(self.body.cloud.comm, -g[deep], initial=0.0)
+
+    def _start(self, x: Float) -> tuple[Float, Float]:
+        """Return points (n, dim) and their displacements as seen from the tool at the start."""
+        return x, self._moving.relative(x, np.zeros_like(x), START.load)[0]
 
     def _points(self, state: State) -> Points:
         return self._at

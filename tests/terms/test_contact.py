@@ -11,7 +11,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.running.suited import refuse_contact_without_weights
-from tests.commands import Stop, results
+from tests.commands import Stop, results, script_on
 
 E, NU = 1000.0, 0.3
 PRESS = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.0, -0.05))
@@ -462,6 +462,60 @@ def test_what_contact_cannot_do_is_refused(tmp_path):
         pd.RigidSurface(points, [triangles[0][::-1], *triangles[1:]])
     with pytest.raises(pd.CaseError, match="sides of"):
         pd.prepare(block(pd.RigidBox((0.0, 1.0), (1.0, 1.1), radius=0.2)))
+
+
+SUNK = """
+import pdpetsc as pd
+
+nodes, cells = (kind((0.0, 0.0), (2.0, 1.0), 0.125) for kind in (pd.LatticeNodes, pd.Lattice))
+cases = [
+    (nodes, pd.RigidSphere((1.0, 0.5), 0.2), "+y"),
+    (cells, pd.RigidSphere((1.0, 0.5), 0.2), pd.region.All()),
+    (nodes, pd.RigidSphere((1.0, 0.5), 0.06), "+y"),
+    (nodes, pd.RigidSphere((1.0625, 1.0), 0.02), "+y"),
+    (cells, pd.RigidSphere((1.0, 1.0), 0.02), "+y"),
+]
+for particles, tool, region in cases:
+    conditions = [pd.Clamp("-x"), pd.Contact(region, tool)]
+    try:
+        pd.prepare(pd.Case(particles=particles, material=pd.LinearElastic(1000.0, 0.3), conditions=conditions))
+        print("accepted")
+    except pd.CaseError as error:
+        print(error)
+"""
+
+
+def test_a_tool_in_the_body_is_refused():
+    """Balls away from the surface, and between two facets, with no centroid in them."""
+    one, two = (script_on(ranks, SUNK).splitlines() for ranks in (1, 2))
+    assert set(two) == set(one)
+    assert all(answer.startswith("The tool of Contact condition 2 overlaps the body by ") for answer in one)
+    depth = [float(answer.split(" by ")[1].split()[0]) for answer in one]
+    assert depth == pytest.approx([0.2, 0.2 - 0.0625 * 2**0.5, 0.06, 0.02, 0.02], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("tool", "region"),
+    [
+        (pd.RigidSphere((1.0625, 1.02), 0.02), "+y"),
+        (pd.RigidBox((0.95, 1.0), (1.5, 1.5)), "+y"),
+        (pd.RigidSphere((1.0, 0.5), 1.6, hollow=True), pd.region.All()),
+        (pd.RigidSurface([(1.0, 0.7), (1.04, 1.2), (0.96, 1.2)]), "+y"),
+        (pd.RigidBox((0.51, 0.63), (0.74, 2.0)), "+y"),
+        (pd.RigidSphere((1.4375, 0.4375), 0.1875), pd.region.All()),
+    ],
+    ids=["in touch", "box in touch", "around", "in a crack", "in a notch", "in a hole"],
+)
+def test_a_tool_beside_the_body_is_accepted(tool, region):
+    """A body with a crack from its upper side, a notch of the width of two spacings and a hole of three."""
+    holes = pd.region.Box((1.25, 0.25), (1.625, 0.625)) | pd.region.Box((0.5, 0.625), (0.75, 1.0))
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125, cut=holes),
+        material=pd.LinearElastic(E, NU),
+        cracks=[pd.Segment((1.0, 0.5), (1.0, 1.1))],
+        conditions=[pd.Clamp("-x"), pd.Contact(region, tool)],
+    )
+    pd.prepare(case)
 
 
 def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):

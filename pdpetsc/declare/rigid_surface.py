@@ -65,7 +65,10 @@ class RigidSurface(RigidTool):
     @classmethod
     def read(
         cls, path: str | Path, unit: float = 1.0, move: Sequence[float] = (), turn: Sequence[float] = (),
-        about: Sequence[float] = (), schedule: Schedule | Sequence[Schedule] | None = None,
+        about: Sequence[float] = (), schedule: Schedule | Sequence[Schedule] | None = None, *,
+        force: Sequence[float | None] = (), moment: float | Sequence[float] = (), mass: float | None = None,
+        inertia: float | Sequence[float] | Sequence[Sequence[float]] | None = None, velocity: Sequence[float] = (),
+        spin: float | Sequence[float] = (),
     ) -> RigidSurface:  # fmt: skip
         """Read a surface of triangles, such as an STL file.
 
@@ -83,7 +86,10 @@ class RigidSurface(RigidTool):
         if not triangles:
             raise CaseError(f"{path} holds no triangles; a RigidSurface needs the surface of the tool.")
         points, parts = unit * np.asarray(mesh.points), np.concatenate(triangles)
-        return cls(points, parts, move=move, turn=turn, about=about, schedule=schedule or Ramp())
+        return cls(
+            points, parts, move=move, turn=turn, about=about, schedule=schedule or Ramp(), force=force, moment=moment,
+            mass=mass, inertia=inertia, velocity=velocity, spin=spin,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

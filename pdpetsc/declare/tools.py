@@ -91,7 +91,8 @@ class RigidTool(RigidMotion, ABC):
         Returns
         -------
         g : (n,) float64
-            Signed distance, negative inside the tool [length].
+            Signed distance, negative inside the tool [length]. Outside it may be shorter, but not longer: facets that
+            have moved by less than their distance do not touch and are not evaluated again.
         n : (n, dim) float64
             Its gradient, the outward normal of the tool [-].
         H : (n, dim, dim) float64

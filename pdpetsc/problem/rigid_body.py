@@ -64,6 +64,8 @@ class RigidBody:
         Components of displacement and rotation that follow from the load.
     inertia : RigidInertia or None
         Mass and moments of inertia; None for a body without mass.
+    about : (dim,) float64
+        The point P [length].
     fictitious : bool
         As given.
     kept : (n, n_kept) float64
@@ -79,7 +81,7 @@ class RigidBody:
         self.free = declared.free(dim)
         self._of = np.array(COMPONENTS[dim])
         self._free = self._in_space(self.free) > 0.0
-        self._about = np.asarray(declared.about, dtype=float) if declared.turns else np.zeros(dim)
+        self.about = np.asarray(declared.about, dtype=float) if declared.turns else np.zeros(dim)
         # The point of the load as seen from P, in the axes of the body.
         self._arm = np.zeros(3)
         # Displacement and rotation at the start of the step and now; for each owner those of the last converged step.
@@ -137,7 +139,7 @@ class RigidBody:
         whole = np.zeros((2, len(mass), 3))
         whole[:, :, :dim] = x, velocity
         x, velocity = whole
-        about = self._whole(self._about)
+        about = self._whole(self.about)
         added = declared.mass or 0.0
         sums = total(self._comm, np.concatenate([[mass.sum()], mass @ x, mass @ velocity]))
         M, first, momentum = float(sums[0]) + added, sums[1:4], sums[4:]
@@ -153,7 +155,7 @@ class RigidBody:
                     f"{self.title} turns about a point that is not its centre of mass ({at}), with some directions "
                     f"prescribed. Turn it about that, or give a force in every direction, or none."
                 )
-        self._about, self._arm = point[:dim], about - point if declared.turns else np.zeros(3)
+        self.about, self._arm = point[:dim], about - point if declared.turns else np.zeros(3)
         arms = x - point
         of_particles = total(self._comm, about_point(mass, arms))
         J = of_particles + declared.tensor + about_point(np.array([added]), self._arm[None])
@@ -211,14 +213,14 @@ class RigidBody:
         R, d = self.motion(t)
         if not self.declared.turns:
             return u - d, R
-        return (u - d) @ R + (x - self._about) @ (R - np.eye(self._dim)), R
+        return (u - d) @ R + (x - self.about) @ (R - np.eye(self._dim)), R
 
     def absolute(self, x: Float, v: Float, t: float) -> Float:
         """Compute the displacements (n, dim) [length] of points ``x`` from those as seen from the tool."""
         R, d = self.motion(t)
         if not self.declared.turns:
             return v + d
-        return np.asarray((v - (x - self._about) @ (R - np.eye(self._dim))) @ R.T + d)
+        return np.asarray((v - (x - self.about) @ (R - np.eye(self._dim))) @ R.T + d)
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
@@ -258,7 +260,7 @@ class RigidBody:
         (n_free, n, dim): rates of displacement [-] and of rotation [length].
         """
         unit = np.broadcast_to(np.eye(self._dim)[:, None, :], (self._dim, *y.shape))
-        around = y - self._about - self.motion(t)[1]
+        around = y - self.about - self.motion(t)[1]
         return np.asarray(np.concatenate([unit, self.turned(around)])[self.free])
 
     def turned(self, vectors: Float) -> Float:
@@ -522,7 +524,7 @@ class RigidBody:
         """
         v = (self._ended_rates if blend is None else self._end(blend, dt))[VELOCITY]
         arms = np.zeros((len(x), 3))
-        arms[:, : self._dim] = x + u - self._about - self.motion(t)[1]
+        arms[:, : self._dim] = x + u - self.about - self.motion(t)[1]
         found: Float = v[:3] + np.cross(self._pose(t) @ v[3:], arms)
         return np.asarray(found[:, : self._dim])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,30 @@ TURN = 0.5
 # of a tool, in spacings, below which no particle is in it; points on each side of a facet; distance of the particles
 # next to that of a facet, in nearest distances, and how far they may be off its plane, in their distance.
 SHALLOW, WIDE, PER_SIDE, BESIDE, FLAT = 0.5, 4.0, 8, 1.25, 0.25
+# Gap over the spacing above which a facet has no force, with the rounding of the motion.
+CLEAR = 1e-6
+
+
+class Seen(NamedTuple):
+    """Store the smallest gap of the facets of this rank at a state.
+
+    Attributes
+    ----------
+    u : (n, dim) float64
+        Displacements of the particles that the facets move with [length].
+    R, d : (dim, dim), (dim,) float64
+        Rotation and displacement of the tool [-], [length].
+    arm : float
+        Largest distance of a facet from the point about which the tool turns [length].
+    gap : float
+        Smallest gap [length].
+    """
+
+    u: Float
+    R: Float
+    d: Float
+    arm: float
+    gap: float
 
 
 class ContactForces(FacetContact):
@@ -73,6 +98,12 @@ class ContactForces(FacetContact):
         self._x, self._at = facets.x, Points.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
+        # The gap last evaluated, the particles that the facets move with, and the most that a facet moves with these.
+        self._particles = np.unique(facets.stencils.members)
+        self._most = float(facets.sums(np.abs(facets.N)).max(initial=0.0))
+        self._last = Seen(
+            np.zeros((len(self._particles), body.dim)), np.eye(body.dim), np.zeros(body.dim), 0.0, -np.inf
+        )
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
         bodies = bodies_of(body, mask)
         deepest = max(self._off(rest), self._depth_at_particles(bodies), self._depth_between_facets(facets.area))
@@ -144,7 +175,27 @@ class ContactForces(FacetContact):
     def _distance(self, state: State) -> tuple[Float, Float, Float]:
         """Compute gap, normal and curvature of the facets as seen from the tool (collective)."""
         moved = self._seen(state)[0]
-        return state.kept((self, "gap"), lambda: self._tool.gap(self._x, moved))
+
+        def make() -> tuple[Float, Float, Float]:
+            found = self._tool.gap(self._x, moved)
+            R, d = self._moving.motion(state.t)
+            arm = float(np.linalg.norm(self._x - self._moving.about + moved, axis=1).max(initial=0.0))
+            self._last = Seen(state.u_local[self._particles], R, d, arm, float(found[0].min(initial=np.inf)))
+            return found
+
+        return state.kept((self, "gap"), make)
+
+    def _is_clear(self, state: State) -> bool:
+        """Return True if the smallest gap at the last evaluation exceeds the motion since (collective).
+
+        A facet moves by ``sum_k N_f(x_k) du_k``, and from the tool it is seen to move by at most ``|dd| + |dR| arm``
+        more: the distance of a point from the tool changes by at most its way.
+        """
+        u, last = state.u_local[self._particles], self._last
+        R, d = self._moving.motion(state.t)
+        way = self._most * np.sqrt(((u - last.u) ** 2).sum(axis=1).max(initial=0.0))
+        way += np.linalg.norm(d - last.d) + np.linalg.norm(R - last.R) * last.arm
+        return bool(last.gap - way > self._p.max(initial=0.0) / self._c + self._spacing * CLEAR)
 
     def _gap(self, state: State) -> tuple[Float, Float]:
         return self._distance(state)[:2]

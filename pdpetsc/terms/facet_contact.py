@@ -54,6 +54,12 @@ class Touching(NamedTuple):
     by_normal: Float
     by_slip: Float
 
+    @classmethod
+    def nothing(cls, dim: int) -> Touching:
+        """Return no points in contact."""
+        vectors, matrices = np.empty((0, dim)), np.empty((0, dim, dim))
+        return cls(np.empty(0, dtype=np.int64), vectors, vectors, matrices, matrices)
+
 
 class ContactProduct(FacetSprings):
     """Couple the particles around each point of contact by ``sum_p w_p (x) w_p B_p``.
@@ -201,10 +207,18 @@ class FacetContact(Term):
         """Return the rotation from the axes of normals and tractions to those of space (collective)."""
         return np.eye(self.body.dim)
 
+    def _is_clear(self, state: State) -> bool:
+        """Return True if the motion since an earlier state excludes contact on this rank (collective)."""
+        return False
+
     def _touching(self, state: State) -> Touching:
         """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
         _ = state.u_local
-        return state.kept((self, "touching", self.version), lambda: self._tractions(state))
+
+        def make() -> Touching:
+            return Touching.nothing(self.body.dim) if self._is_clear(state) else self._tractions(state)
+
+        return state.kept((self, "touching", self.version), make)
 
     def _felt(self, state: State) -> Float:
         """Compute the gap that determines the pressure of each point (n_points,) [length] (collective)."""
@@ -242,7 +256,8 @@ class FacetContact(Term):
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the contact."""
-        self._points(state).spread(self._forces(state), f)
+        if len(self._touching(state).rows):
+            self._points(state).spread(self._forces(state), f)
 
     def _forces(self, state: State) -> Float:
         """Compute the forces on all points (n_points, dim) [force] (collective)."""
@@ -261,6 +276,8 @@ class FacetContact(Term):
 
     def _pressures(self, state: State) -> Float:
         """Compute the mean pressure of the points of each multiplier [stress] (collective)."""
+        if self._is_clear(state):
+            return np.zeros(len(self._owner))
         points = self._points(state)
         return points.mean(np.maximum(self._p[points.of] - self._c * self._felt(state), 0.0), len(self._owner))
 

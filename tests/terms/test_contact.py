@@ -518,6 +518,39 @@ def test_a_tool_beside_the_body_is_accepted(tool, region):
     pd.prepare(case)
 
 
+@pytest.mark.parametrize("turns", [False, True])
+def test_facets_that_have_moved_less_than_their_gap_are_not_evaluated(turns, rng, monkeypatch):
+    """A tool that moves, or turns about a point far away, and a body that moves: the forces are those of the gap."""
+    motion = {"turn": 0.08, "about": (9.0, 1.3)} if turns else {"move": (0.0, -0.6)}
+    tool = pd.RigidBox((0.4, 1.3), (1.6, 1.5), **motion)
+    problem = pd.prepare(block(tool, 0.3)).problem
+    (term,) = (one for one in problem.terms if type(one).__name__ == "ContactForces")
+    evaluated, gap = [], pd.RigidBox.gap
+    monkeypatch.setattr(pd.RigidBox, "gap", lambda tool, x, u: evaluated.append(0) or gap(tool, x, u))
+
+    def force(u, t):
+        f = np.zeros((problem.body.cloud.n_local, 2))
+        term.add_force(problem.state(u, t), f)
+        return f
+
+    touched, skipped = 0, 0
+    path = np.concatenate([np.linspace(0.0, 1.0, 40), np.linspace(1.0, 0.0, 20), rng.uniform(0.0, 1.0, 40)])
+    u = np.zeros((problem.body.cloud.n_owned, 2))
+    for t in path:
+        u += rng.uniform(-2e-3, 2e-3, u.shape)
+        evaluated.clear()
+        found = force(u, t)
+        skipped += not evaluated
+        moved = term._seen(problem.state(u, t))[0]
+        g, n, _ = gap(tool, term._x, moved)
+        pressed = term._at.area * term._c * np.maximum(-g, 0.0)
+        normal = (term._forces(problem.state(u, t)) @ term._rotation(problem.state(u, t)) * n).sum(axis=1)
+        np.testing.assert_allclose(normal, pressed, rtol=1e-9, atol=1e-9)
+        assert found.any() == (g < 0.0).any()
+        touched += bool((g < 0.0).any())
+    assert touched > 20 and skipped > 10
+
+
 def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
     """A box as triangles of an STL file, which repeats its vertices, in another unit, against a RigidBox."""
     import meshio
@@ -538,6 +571,21 @@ def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
         found.append([history[f"tool_{axis}"][-1] for axis in "xyz"])
     assert found[0][2] < -1.0
     np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-6)
+
+
+def test_a_tool_from_a_file_takes_a_load(tmp_path):
+    import meshio
+
+    points, triangles = cube()
+    path = tmp_path / "tool.stl"
+    meshio.Mesh(points, [("triangle", np.array(triangles))]).write(path)
+    given = {
+        "move": (0.1, 0.0, 0.0), "about": (1.0, 1.0, 1.0), "force": (None, 0.0, -1.0), "moment": (0.0, 0.0, 0.0),
+        "mass": 2.0, "inertia": 3.0, "velocity": (0.0, 0.0, -4.0), "spin": (0.0, 5.0, 0.0), "schedule": pd.Hold(),
+    }  # fmt: skip
+    read = pd.RigidSurface.read(path, **given)
+    read.check(3)
+    assert {name: getattr(read, name) for name in given} == given
 
 
 def test_a_cylinder_presses_as_hertz_says(tmp_path):

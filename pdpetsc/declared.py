@@ -41,6 +41,7 @@ Positive: TypeAlias = Annotated[
 NonNegative: TypeAlias = Annotated[
     float, Bound(("a finite number >= 0", "finite numbers >= 0"), lambda x: math.isfinite(x) and x >= 0.0)
 ]
+NonNegativeOrInfinite: TypeAlias = Annotated[float, Bound(("a number >= 0", "numbers >= 0"), lambda x: x >= 0.0)]
 Fraction: TypeAlias = Annotated[
     float, Bound(("a number between 0 and 1", "numbers between 0 and 1"), lambda x: 0.0 < x < 1.0)
 ]

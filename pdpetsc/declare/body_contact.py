@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.region import All, Region, region_of_name
-from pdpetsc.declared import Fraction, NonNegative, Positive
+from pdpetsc.declared import Fraction, NonNegativeOrInfinite, Positive
 
 # Reach of a contact by default, in horizons.
 REACH = 4.0
@@ -84,7 +84,7 @@ class BodyContact(TwoParts):
     >>> touching = pd.BodyContact("wheel", "rail +y", friction=0.3, name="wheel")
     """
 
-    friction: NonNegative = 0.0
+    friction: NonNegativeOrInfinite = 0.0
     stiffness: Positive | None = None
     penetration: Fraction = 0.01
     reach: Positive | None = None

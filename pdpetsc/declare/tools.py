@@ -14,7 +14,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.motion import ROTATIONS, RigidMotion
 from pdpetsc.declare.region import Region
-from pdpetsc.declared import Finite, Fraction, NonNegative, Positive
+from pdpetsc.declared import Finite, Fraction, NonNegative, NonNegativeOrInfinite, Positive
 from pdpetsc.errors import CaseError
 
 # Components of a direction below this share of its length are rounding.
@@ -314,7 +314,8 @@ class Contact(Condition):
     tool : RigidTool
         ``RigidPlane``, ``RigidBox``, ``RigidSphere``, ``RigidCylinder`` or ``RigidSurface``.
     friction : float
-        Coefficient of friction [-]; 0 by default.
+        Coefficient of friction [-]; 0 by default. With ``math.inf`` the tool is rough: facets that it presses do not
+        slide.
     stiffness : float, optional
         Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim``, with
         friction at most 50 ``mu``, over the mean spacing at the facets.
@@ -345,7 +346,7 @@ class Contact(Condition):
 
     region: Region
     tool: RigidTool
-    friction: NonNegative = 0.0
+    friction: NonNegativeOrInfinite = 0.0
     stiffness: Positive | None = None
     penetration: Fraction = 0.01
     name: str = "contact"

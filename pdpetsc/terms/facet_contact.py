@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -145,7 +146,7 @@ class FacetContact(Term):
 
     With the gap g of a point, ``p = <p0 - c g>`` with the multiplier ``p0``. Friction has the trial traction
     ``tau* = (1 - n (x) n) (tau_0 - c_t s)`` with the slip s since the last converged step. It sticks, ``tau = tau*``,
-    while ``|tau*| <= mu p``, and slides with ``tau = mu p tau* / |tau*|``.
+    while ``|tau*| <= mu p``, and slides with ``tau = mu p tau* / |tau*|``. With infinite mu it sticks while ``p > 0``.
 
     Parameters
     ----------
@@ -238,14 +239,16 @@ class FacetContact(Term):
             trial = np.einsum("pij,pj->pi", across, along)
             size = np.linalg.norm(trial, axis=1)
             turned = -(n * along).sum(axis=1)[:, None, None] * one - n[:, :, None] * along[:, None, :]
-            slides = size > self._mu * p
+            # Infinite friction, except of points without pressure.
+            most = np.where(p > 0.0, self._mu, 0.0) * p
+            slides = size > most
             e = trial / np.where(size > 0.0, size, 1.0)[:, None]
-            share = np.where(slides, self._mu * p / np.where(size > 0.0, size, 1.0), 1.0)
+            share = np.where(slides, most / np.where(size > 0.0, size, 1.0), 1.0)
             # Derivative of the traction by the trial.
             kept = one - np.where(slides[:, None, None], e[:, :, None] * e[:, None, :], 0.0)
             kept = share[:, None, None] * kept
             traction = traction + share[:, None] * trial
-            by_pressure = n + np.where(slides, self._mu, 0.0)[:, None] * e
+            by_pressure = n + np.where(slides & math.isfinite(self._mu), self._mu, 0.0)[:, None] * e
             by_normal = by_normal + kept @ turned
             by_slip = -STICKING * self._c * kept @ across
         return Touching(rows, traction, by_pressure, by_normal, by_slip)

@@ -110,7 +110,7 @@ def problem_of(case):
     return problem, term
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0, np.inf])
 def test_forces_have_their_tangent_and_balance(friction, rng):
     problem, term = problem_of(stacked(friction=friction))
     n, dim = problem.body.cloud.n_owned, problem.dim

@@ -79,7 +79,7 @@ def cylinder(**given):
     return pd.RigidSphere((0.0, 3.0), 2.0, **{"move": (0.01, -0.02), **given})
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0, np.inf])
 @pytest.mark.parametrize("tool", ["plane", "outside", "inside", "cylinder"])
 def test_forces_have_their_tangent(tool, friction, rng):
     """Differences of the forces about a state with facets that touch, stick and slide."""
@@ -549,6 +549,36 @@ def test_facets_that_have_moved_less_than_their_gap_are_not_evaluated(turns, rng
         assert found.any() == (g < 0.0).any()
         touched += bool((g < 0.0).any())
     assert touched > 20 and skipped > 10
+
+
+def test_rough_plates_hold_the_faces_of_a_block(tmp_path):
+    """Between rough plates the faces of a block move as with very large friction, and not along the plates."""
+    found = {}
+    for friction in (0.0, 1e12, np.inf):
+        plates = [
+            pd.Contact("+y", PRESS, friction, name="tool"),
+            pd.Contact("-y", pd.RigidPlane((0.0, 0.0), (0.0, 1.0)), friction, name="floor"),
+        ]
+        sides = [pd.Roller("-x"), pd.Foundation("-y", normal=1e-6 * E)]
+        found[friction] = pd.run(block(conditions=[*sides, *plates]), tmp_path / f"{friction:g}")
+    face = np.abs(found[0.0].x[:, 1] - 0.5) == 0.5
+    smooth, large, rough = (run.field("displacement")[:, 0] for run in found.values())
+    assert np.abs(rough[face]).max() < 0.1 * np.abs(smooth[face]).max()
+    np.testing.assert_allclose(rough, large, atol=1e-6 * np.abs(smooth).max())
+    assert found[np.inf].history["tool_y"][-1] == pytest.approx(found[1e12].history["tool_y"][-1], rel=1e-6)
+
+
+def test_a_rough_tool_has_no_force_on_open_facets():
+    """Facets that stuck lose their shear traction as the tool is withdrawn."""
+    problem = pd.prepare(block(dataclasses.replace(PRESS, move=(0.05, -0.05)), np.inf)).problem
+    (term,) = (one for one in problem.terms if type(one).__name__ == "ContactForces")
+    u = np.zeros((problem.body.cloud.n_owned, 2))
+    term.commit(problem.state(u, 0.01))
+    term.start_from(problem.state(u, 0.01))
+    for lift, forces in ((0.0, True), (1e-3, False)):
+        f = np.zeros((problem.body.cloud.n_local, 2))
+        term.add_force(problem.state(u - (0.0, lift), 0.01), f)
+        assert f[:, 0].any() == f[:, 1].any() == forces
 
 
 def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):

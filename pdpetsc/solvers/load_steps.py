@@ -163,9 +163,9 @@ class LoadStepSolver(StepSolver):
             raise SolveError(
                 f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
                 f'"{unstable}") asks for: only -pc_type cholesky with MUMPS, or lu of an unsymmetric tangent, counts '
-                f"negative pivots, and not where damage is held during a jump, an unsymmetric tangent softens or belongs "
-                f"to loaded rigid bodies; results are complete up to step time {t:.6g}; take unstable='warn' to go on "
-                f"without."
+                f"negative pivots, and not where damage is held during a jump or an unsymmetric tangent softens or "
+                f"belongs to loaded rigid bodies; results are complete up to step time {t:.6g}; take unstable='warn' "
+                f"to go on without."
             )
         if result.negative_pivots and unstable == "switch":
             u, result = self.switched(u, result)

@@ -43,37 +43,45 @@ def remainder_kernel(dim: int, columns: int, gathered: int) -> Callable[..., Any
     ``pk`` of ``out``, or to its particle ``k`` if ``gathered`` is 1.
     """
     width = dim + 1
+    # The values may be far larger than the residuals, to which a single fit leaves their round-off.
+    fits = 1 if gathered else 2
 
     @compiled
     def rest(point_ptr, members, x, size, inverse, factor, values, out):
-        phi = np.empty(width)
-        phi[0] = 1.0
-        b = np.empty((width, columns))
-        c = np.empty((width, columns))
+        largest = 0
         for p in range(point_ptr.size - 1):
-            i = members[point_ptr[p]]
-            b[:] = 0.0
-            for t in range(point_ptr[p], point_ptr[p + 1]):
-                k = members[t]
+            largest = max(largest, point_ptr[p + 1] - point_ptr[p])
+        phi, left = np.empty((largest, width)), np.empty((largest, columns))
+        b, c = np.empty((width, columns)), np.empty((width, columns))
+        phi[:, 0] = 1.0
+        for p in range(point_ptr.size - 1):
+            first, count = point_ptr[p], point_ptr[p + 1] - point_ptr[p]
+            i = members[first]
+            for t in range(count):
+                k = members[first + t]
                 for m in range(dim):
-                    phi[m + 1] = (x[k, m] - x[i, m]) / size[p]
+                    phi[t, m + 1] = (x[k, m] - x[i, m]) / size[p]
+                for n in range(columns):
+                    # The fit removes the value of the centre, and with it most of the round-off.
+                    left[t, n] = values[k, n] - values[i, n]
+            for _ in range(fits):
+                b[:] = 0.0
+                for t in range(count):
+                    for a in range(width):
+                        for n in range(columns):
+                            b[a, n] += phi[t, a] * left[t, n]
                 for a in range(width):
                     for n in range(columns):
-                        b[a, n] += phi[a] * values[k, n]
-            for a in range(width):
+                        c[a, n] = 0.0
+                        for d in range(width):
+                            c[a, n] += inverse[p, a, d] * b[d, n]
+                for t in range(count):
+                    for n in range(columns):
+                        for a in range(width):
+                            left[t, n] -= phi[t, a] * c[a, n]
+            for t in range(count):
+                row = members[first + t] if gathered else first + t
                 for n in range(columns):
-                    c[a, n] = 0.0
-                    for d in range(width):
-                        c[a, n] += inverse[p, a, d] * b[d, n]
-            for t in range(point_ptr[p], point_ptr[p + 1]):
-                k = members[t]
-                row = k if gathered else t
-                for m in range(dim):
-                    phi[m + 1] = (x[k, m] - x[i, m]) / size[p]
-                for n in range(columns):
-                    value = values[k, n]
-                    for a in range(width):
-                        value -= phi[a] * c[a, n]
-                    out[row, n] += factor[p] * value
+                    out[row, n] += factor[p] * left[t, n]
 
     return rest

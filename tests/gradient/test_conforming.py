@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import sys
 import textwrap
 
 import meshio
@@ -19,6 +20,9 @@ from pdpetsc.gradient import near_inverse
 from pdpetsc.petsc.conforming import solve_conforming
 from tests.commands import ROOT, jacobian_ratios, printed, python_on, results
 from tests.pairs import pairs
+
+sys.path.append(str(ROOT / "runs/contact"))
+import refined
 
 TENSION = "runs/patch/tension.py"
 
@@ -156,6 +160,18 @@ def test_linear_fields_are_exact_and_the_divergence_theorem_holds(scheme, thickn
     size = np.abs(sums_over_points(cloud, plain)).max()
     assert np.abs(sums_over_points(cloud, plain) - s).max() > 1e-2 * size
     assert np.abs(sums_over_points(cloud, operator) - s).max() < 1e-9 * size
+
+
+@pytest.mark.parametrize("core", [1e-2, 1e-3, 1e-4])
+def test_linear_fields_are_exact_on_strongly_graded_clouds(core):
+    """The multipliers exceed the changes of the weights by many orders: their round-off was an error of 1e-9."""
+    points, cells = refined.corner(8, core, 2.0, 2)
+    graded = refined.disc(refined.ball(points, 1.0), cells, 1.0)
+    cloud, _, _, operator = weights_of(graded.particles, 2.1 * graded.size)
+    assert "conforming weights" in operator.note
+    relative = cloud.x[operator.members] - cloud.x[np.repeat(operator.owner, np.diff(operator.point_ptr))]
+    gradient = np.add.reduceat(relative[:, :, None] * operator.g[:, None, :], operator.point_ptr[:-1])
+    assert np.abs(gradient - np.eye(2)).max() < 1e-12
 
 
 def test_the_change_is_the_least_one():

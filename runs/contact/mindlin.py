@@ -8,14 +8,19 @@ With ``bodies=2`` two elastic half cylinders of radius 3 are pressed together, w
 diameter of the upper one moves.
 
 With the normal force P and the tangential force Q the half width c of the zone that sticks, over that of the contact,
-is ``c / a = sqrt(1 - Q / (friction P))``. That holds if normal and tangential displacements do not depend on each
-other: for two bodies of one material, and for a rigid one if nu = 0.5. The default is 0.45, which is near to that and
-needs no treatment of bodies that keep their volume.
+is ``c / a = sqrt(1 - Q / (friction P))``, and the shear traction with Hertz's largest pressure p0 is
+
+    q = friction p0 (sqrt(1 - (x / a)^2) - c / a sqrt(1 - (x / c)^2)),
+
+the second root only within c. That holds if normal and tangential displacements do not depend on each other: for two
+bodies of one material, and for a rigid one if nu = 0.5. The default is 0.45, which is near to that and needs no
+treatment of bodies that keep their volume.
 
 Results: ``force`` P, ``stick_25``, ``stick_50``, ``stick_75``, the area of the facets that stick over that of all that
 touch at ``Q / (friction P)`` = 0.25, 0.5 and 0.75, interpolated between the steps, the second also as
-``stick_over_contact``; ``sliding_force``, the largest Q over ``friction P``; and ``half_width_over_hertz`` of the
-pressed cylinder.
+``stick_over_contact``; ``shear_error``, the relative error of the shear traction in the L2 norm at 0.5, which includes
+that of the pressing: with one body and nu < 0.5 its two halves are unlike;
+``sliding_force``, the largest Q over ``friction P``; and ``half_width_over_hertz`` of the pressed cylinder.
 """
 
 import sys
@@ -47,15 +52,42 @@ class Sticking(pd.Quantity):
         object.__setattr__(self, "curvature", curvature)
 
     def evaluate(self, solution):
-        x, traction, area = hertz.touching(solution)
+        _, pressure, shear, area = self.of_facets(solution)
         if not len(area):
             return 0.0
+        # The surfaces have moved, so that their normals differ from these a little.
+        return float(area[np.abs(shear) < 0.99 * self.friction * pressure].sum() / area.sum())
+
+    def of_facets(self, solution):
+        """Return positions along the contact, pressures, shear tractions and areas of the facets that touch."""
+        x, traction, area = hertz.touching(solution)
         normal = self.curvature * x + (0.0, 1.0)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
-        pressure = (traction * normal).sum(axis=1)
-        shear = np.linalg.norm(traction - pressure[:, None] * normal, axis=1)
-        # The surfaces have moved, so that their normals differ from these a little.
-        return float(area[shear < 0.99 * self.friction * np.abs(pressure)].sum() / area.sum())
+        along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+        return x[:, 0], np.abs((traction * normal).sum(axis=1)), (traction * along).sum(axis=1), area
+
+
+class ShearError(Sticking):
+    """Relative error of the shear traction in the L2 norm, against the closed form for the forces of the contact."""
+
+    radius, modulus = 1.0, 1.0
+
+    def __init__(self, friction, curvature, radius, modulus):
+        super().__init__(friction, curvature)
+        object.__setattr__(self, "radius", radius)
+        object.__setattr__(self, "modulus", modulus)
+
+    def evaluate(self, solution):
+        x, pressure, shear, area = self.of_facets(solution)
+        P, Q = area @ pressure, abs(area @ shear)
+        if not 0.0 < Q < self.friction * P:
+            return 0.0
+        a, peak = hertz.line(P, self.radius, self.modulus)
+        c = a * np.sqrt(1.0 - Q / (self.friction * P))
+        x = x - area * pressure @ x / P
+        whole, sticking = (np.sqrt(np.maximum(1.0 - (x / half) ** 2, 0.0)) for half in (a, c))
+        exact = self.friction * peak * (whole - c / a * sticking)
+        return float(np.sqrt(area @ (np.abs(shear) - exact) ** 2 / (area @ exact**2)))
 
 
 def cylinder(n, side):
@@ -107,6 +139,7 @@ def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45, bodies=1):
             "force": y[-1],
             **found,
             "stick_over_contact": found["stick_50"],
+            "shear_error": float(np.interp(0.5, share, np.asarray(h["shear_error"])[pressed])),
             "sliding_force": share.max(),
             "half_width_over_hertz": h["half_width"][first] / a,
         }
@@ -117,7 +150,11 @@ def case(n=24, friction=0.3, load=0.002, slide=1.2, nu=0.45, bodies=1):
         material=pd.LinearElastic(E=E, nu=nu),
         conditions=conditions,
         steps=pd.Steps(times=(PRESSED, *(PRESSED + (1.0 - PRESSED) * k / STEPS for k in range(1, STEPS)), 1.0)),
-        history={"stick": Sticking(friction, curvature), "half_width": hertz.HalfWidth()},
+        history={
+            "stick": Sticking(friction, curvature),
+            "shear_error": ShearError(friction, curvature, radius, modulus),
+            "half_width": hertz.HalfWidth(),
+        },
         results=results,
         expect={
             f"stick_{round(100 * at)}": pd.Expected(np.sqrt(1.0 - at), absolute=0.05, source="Cattaneo, Mindlin")

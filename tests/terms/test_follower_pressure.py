@@ -86,6 +86,21 @@ def test_a_ring_is_inflated_to_twice_its_radius(tmp_path):
 
 
 @pytest.mark.long
+def test_a_sphere_is_inflated_to_twice_its_radius(tmp_path):
+    """Against the radial equilibrium of the same law: second order in the spacing, 0.20 and 0.045."""
+    command = ["runs/convergence/inflated_sphere.py", "outer=3", "to=2"]
+    coarse, fine = (results(*command, f"n={n}", output=tmp_path / str(n))["results"] for n in (8, 16))
+    assert fine["error_u"] < 0.06
+    assert fine["error_u"] < 0.3 * coarse["error_u"]
+    assert fine["error_surface_stress"] < 0.3 * coarse["error_surface_stress"]
+
+
+def test_the_pressure_of_a_coarse_sphere_is_near_to_the_radial_equilibrium(tmp_path):
+    found = results("runs/convergence/inflated_sphere.py", "n=4", output=tmp_path)["results"]
+    assert found["error_u"] < 0.1
+
+
+@pytest.mark.long
 def test_units_and_ranks_change_nothing(tmp_path):
     one = pd.run(scene(2), tmp_path / "one").history
     other = pd.run(scene(2, unit=1e20, modulus=1e-20), tmp_path / "other").history

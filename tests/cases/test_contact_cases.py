@@ -183,3 +183,16 @@ def test_a_roller_that_slides_on_rubber_takes_what_coulomb_says(tmp_path):
     assert roller["drag_over_normal"] == pytest.approx(0.3, rel=0.05)
     assert roller["lost_over_coulomb"] == pytest.approx(1.0, abs=0.05)
     assert roller["lost_over_coulomb"] == pytest.approx(roller["drag_over_normal"] / 0.3, abs=0.005)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_cylinder_that_is_drawn_along_a_block_is_resisted_by_coulombs_friction(friction, tmp_path):
+    """Both bodies deform. The reactions balance, and only friction takes energy."""
+    ironing = found("ironing", "n=4", "steps=20", f"friction={friction}", output=tmp_path)
+    assert ironing["balance"] < 1e-8
+    assert ironing["variation"] < 0.02
+    assert ironing["drag_over_normal"] == pytest.approx(friction, abs=0.01)
+    if friction:
+        assert ironing["lost_over_coulomb"] == pytest.approx(1.0, abs=0.03)
+    else:
+        assert abs(ironing["energy_error"]) < 5e-3

@@ -1,4 +1,4 @@
-"""Nodes of quadrilaterals in a strip, as ``pd.MeshNodes`` makes them of a file."""
+"""Nodes of quadrilaterals in a strip and of grids of hexahedra, as ``pd.MeshNodes`` makes them of a file."""
 
 import numpy as np
 
@@ -16,7 +16,27 @@ def particles(x, y, closed=False):
     row = np.arange(rows if closed else rows - 1)[:, None]
     first, after = ((at % rows * (n + 1) + np.arange(n)).ravel() for at in (row, row + 1))
     quads = Block("quad", np.stack([first, after, after + 1, first + 1], axis=1))
-    nodes, volume = shares_of_nodes(points, [quads])
-    found = facets(points, [quads])
-    node, at, area, *_ = parts_of_facets(points, found.corners[found.free], found.area[found.free])
-    return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node)))
+    return _of_nodes(points, quads)
+
+
+def blocks(grids):
+    """Return particles at the nodes of right-handed grids of hexahedra (l, m, n, 3), which share nodes at one place."""
+    cells, count = [], 0
+    for grid in grids:
+        node = count + np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+        low, high = slice(None, -1), slice(1, None)
+        around = ((low, low), (high, low), (high, high), (low, high))
+        cells.append(np.stack([node[i, j, k].ravel() for k in (low, high) for i, j in around], axis=1))
+        count += node.size
+    points = np.concatenate([grid.reshape(-1, 3) for grid in grids])
+    # Nodes at one place differ by round-off.
+    _, first, number = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
+    return _of_nodes(points[first], Block("hexahedron", number.reshape(-1)[np.concatenate(cells)]))
+
+
+def _of_nodes(points, block):
+    nodes, volume = shares_of_nodes(points, [block])
+    found = facets(points, [block])
+    node, at, area, _, outline = parts_of_facets(points, found.corners[found.free], found.area[found.free])
+    corners = outline if points.shape[1] == 3 else None
+    return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node), corners=corners))

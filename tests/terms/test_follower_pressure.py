@@ -180,6 +180,15 @@ def test_an_inflated_ring_passes_its_largest_pressure(tmp_path):
 
 
 @pytest.mark.long
+def test_an_inflated_sphere_passes_its_largest_pressure(tmp_path):
+    """An eighth of a neo-Hookean sphere, against the radial equilibrium."""
+    found = results(BALLOON, "dim=3", "step=0.1", "end=1.0", output=tmp_path)["results"]
+    assert found["limit"] == pytest.approx(1.0, abs=0.01)
+    assert found["furthest"] < 0.03
+    assert found["last"] < 0.95
+
+
+@pytest.mark.long
 def test_a_path_of_a_balloon_depends_on_neither_ranks_nor_matrix(tmp_path):
     words = ["n=2", "step=0.1"]
     one = results(BALLOON, *words, output=tmp_path / "one")["results"]

@@ -581,6 +581,38 @@ def test_a_rough_tool_has_no_force_on_open_facets():
         assert f[:, 0].any() == f[:, 1].any() == forces
 
 
+def pressed_at_random(rng):
+    """Return a block that a disc or an inclined plane presses by up to a spacing, with or without friction."""
+    if rng.random() < 0.5:
+        radius, x = 10.0 ** rng.uniform(-0.7, 0.7), rng.uniform(0.3, 1.7)
+        move = rng.uniform(-0.05, 0.05), -rng.uniform(0.01, 0.1)
+        tool = pd.RigidSphere((x, 1.0 + radius), radius, move=move)
+    else:
+        slope = rng.uniform(-0.1, 0.1)
+        # It touches a corner of the block at the start.
+        move = rng.uniform(-0.05, 0.05), -rng.uniform(0.01, 0.1) - 0.5 * abs(slope)
+        tool = pd.RigidPlane((1.0, 1.0 + abs(slope)), (slope, -1.0), move=move)
+    conditions = [pd.Clamp("-y"), pd.Contact("+y", tool, rng.choice([0.0, 0.3]), name="tool")]
+    return block(material=rng.choice([pd.LinearElastic(E, NU), pd.NeoHookean(E, NU)]), conditions=conditions)
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(1000, marks=pytest.mark.long)])
+def test_newton_converges_for_random_tools(count, tmp_path):
+    """Solves with other multipliers are among the iterations of a step.
+
+    Of the first hundred states none has a halved step. Discs of two spacings with friction may have one: the line
+    search stops, and full steps alternate between sliding and sticking.
+    """
+    iterations, halved = [], 0
+    for seed in range(count):
+        steps = pd.run(pressed_at_random(np.random.default_rng(seed)), tmp_path).summary["steps"]
+        halved += len(steps) > 2
+        iterations += [step["newton_iterations"] for step in steps]
+    assert halved <= 0.005 * count
+    assert np.mean(iterations) < 8.0
+    assert max(iterations) < (20 if count == 40 else 60)
+
+
 def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
     """A box as triangles of an STL file, which repeats its vertices, in another unit, against a RigidBox."""
     import meshio

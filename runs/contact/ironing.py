@@ -9,8 +9,8 @@ surface below it and its stretch. The reactions of the diameter and of the botto
 per length is ``friction`` times the force, and over the run 0 without friction.
 
 Results over the last half of the way: ``force``, the mean vertical force; ``variation``, its largest less its least
-value over the mean; ``drag_over_normal``; ``lost_over_coulomb``, with friction; ``energy_error``, without friction,
-work less stored energy over the work of the run; ``balance``, the largest difference of the two reactions over the force.
+value over the mean; ``drag_over_normal``; ``lost_over_coulomb``, with friction; ``balance``, the largest difference of
+the two reactions over the force. Without friction ``energy_error``, work less stored energy over the work of the run.
 """
 
 import sys

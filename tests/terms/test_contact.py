@@ -651,7 +651,7 @@ def test_a_tool_from_a_file_takes_a_load(tmp_path):
 
 
 def test_a_cylinder_presses_as_hertz_says(tmp_path):
-    found = results("runs/contact/roller.py", "n=40", "radius=8.0", output=tmp_path)["results"]
+    found = results("runs/contact/rigid_cylinder.py", "n=40", "radius=8.0", output=tmp_path)["results"]
     assert found["half_width_over_hertz"] == pytest.approx(1.0, abs=0.03)
     assert found["peak_over_hertz"] == pytest.approx(1.0, abs=0.02)
     assert found["pressure_error"] < 0.03

@@ -86,21 +86,6 @@ def test_a_ring_is_inflated_to_twice_its_radius(tmp_path):
 
 
 @pytest.mark.long
-def test_a_sphere_is_inflated_to_twice_its_radius(tmp_path):
-    """Against the radial equilibrium of the same law: second order in the spacing, 0.20 and 0.045."""
-    command = ["runs/convergence/inflated_sphere.py", "outer=3", "to=2"]
-    coarse, fine = (results(*command, f"n={n}", output=tmp_path / str(n))["results"] for n in (8, 16))
-    assert fine["error_u"] < 0.06
-    assert fine["error_u"] < 0.3 * coarse["error_u"]
-    assert fine["error_surface_stress"] < 0.3 * coarse["error_surface_stress"]
-
-
-def test_the_pressure_of_a_coarse_sphere_is_near_to_the_radial_equilibrium(tmp_path):
-    found = results("runs/convergence/inflated_sphere.py", "n=4", output=tmp_path)["results"]
-    assert found["error_u"] < 0.1
-
-
-@pytest.mark.long
 def test_units_and_ranks_change_nothing(tmp_path):
     one = pd.run(scene(2), tmp_path / "one").history
     other = pd.run(scene(2, unit=1e20, modulus=1e-20), tmp_path / "other").history
@@ -180,12 +165,13 @@ def test_an_inflated_ring_passes_its_largest_pressure(tmp_path):
 
 
 @pytest.mark.long
-def test_an_inflated_sphere_passes_its_largest_pressure(tmp_path):
-    """An eighth of a neo-Hookean sphere, against the radial equilibrium."""
-    found = results(BALLOON, "dim=3", "step=0.1", "end=1.0", output=tmp_path)["results"]
-    assert found["limit"] == pytest.approx(1.0, abs=0.01)
-    assert found["furthest"] < 0.03
-    assert found["last"] < 0.95
+def test_a_sphere_is_inflated_beyond_twice_its_radius(tmp_path):
+    """An eighth of a neo-Hookean sphere, against the radial equilibrium: 0.021 with 6 cells, 0.010 with 9 of them."""
+    words = [("n=2", "around=6"), ("n=3", "around=9")]
+    coarse, fine = (results(BALLOON, "dim=3", *both, output=tmp_path / both[0])["results"] for both in words)
+    assert fine["limit"] == pytest.approx(1.0, abs=0.004)
+    assert fine["furthest"] < 0.6 * coarse["furthest"] < 0.015
+    assert fine["last"] < 0.8
 
 
 @pytest.mark.long

@@ -125,7 +125,7 @@ def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
     has shifted them (collective).
     """
     pc = ksp.getPC()
-    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0 or pc.getOperators()[1].handle != mat.handle:
+    if pc.getType() != "cholesky" or ksp.getConvergedReason() <= 0 or pc.getOperators()[1].handle != mat.handle:
         return None
     reused, shift = ctypes.c_int(0), ctypes.c_int(0)
     _check(_library().PCGetReusePreconditioner(ctypes.c_void_p(pc.handle), ctypes.byref(reused)))
@@ -159,11 +159,12 @@ def negative_pivots_of_symmetric_part(mat: PETSc.Mat) -> int | None:
     pc.setFactorSolverType("mumps")
     ksp.setOperators(part)
     pc.setFactorSetUpSolverType()
-    # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
+    # Room for pivots, and the last dense block without ScaLAPACK, which does not count negative pivots.
+    pc.getFactorMatrix().setMumpsIcntl(14, 50)
     pc.getFactorMatrix().setMumpsIcntl(13, 1)
     nothing, found = part.createVecs()
     ksp.solve(nothing, found)
-    count = negative_pivots(ksp, part) if ksp.getConvergedReason() > 0 else None
+    count = negative_pivots(ksp, part)
     for one in (nothing, found, ksp, part):
         one.destroy()
     return count

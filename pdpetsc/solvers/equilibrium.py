@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import anywhere, bounds, norm, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
-from pdpetsc.petsc.library import negative_pivots, negative_pivots_of_symmetric_part, refactors
+from pdpetsc.petsc.library import negative_pivots, negative_pivots_of_symmetric_part, refactors, start_anew
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
@@ -219,6 +219,8 @@ class Equilibrium:
         ksp.setOperators(self.tangent.mat, self.tangent.preconditioner)
         nothing, found = self.tangent.mat.createVecs()
         ksp.solve(nothing, found)
+        if ksp.getConvergedReason() < 0:
+            start_anew(ksp)
         nothing.destroy()
         found.destroy()
 
@@ -333,15 +335,16 @@ class Equilibrium:
             return None
         return negative_pivots(ksp, self.tangent.mat)
 
-    def pivots_of_symmetric_part(self, state: State, ksp: PETSc.KSP) -> int | None:
-        """Return the negative pivots of the symmetric part of the tangent at a state; None unless it is factored.
+    def pivots_of_unsymmetric(self, state: State, ksp: PETSc.KSP) -> int | None:
+        """Return 0 if the symmetric part of the tangent at a state has no negative pivots; None if that is unknown.
 
-        If there are none, no perturbation grows: the tangent does positive work in every displacement.
+        No perturbation grows then, since the tangent does positive work in every displacement. Negative pivots of that
+        part tell nothing: sliding with friction has them in stable equilibria.
         """
         if ksp.getPC().getType() != "lu" or self.problem.softens or self.problem.constrained:
             return None
         self.update(state)
-        return negative_pivots_of_symmetric_part(self.tangent.mat)
+        return 0 if negative_pivots_of_symmetric_part(self.tangent.mat) == 0 else None
 
     def interrupted(self) -> int:
         """Return PETSc's reason for a solve that a signal stops (not collective)."""

@@ -162,10 +162,9 @@ class LoadStepSolver(StepSolver):
             self.problem.revert()
             raise SolveError(
                 f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
-                f'"{unstable}") asks for: only -pc_type cholesky with MUMPS, or lu of an unsymmetric tangent, counts '
-                f"negative pivots, and not where damage is held during a jump or an unsymmetric tangent softens or "
-                f"belongs to loaded rigid bodies; results are complete up to step time {t:.6g}; take unstable='warn' "
-                f"to go on without."
+                f'"{unstable}") asks for: -pc_type cholesky with MUMPS counts its negative pivots, but not '
+                f"where damage is held during a jump; an unsymmetric tangent tells if its symmetric part has none; "
+                f"results are complete up to step time {t:.6g}; take unstable='warn' to go on without."
             )
         if result.negative_pivots and unstable == "switch":
             u, result = self.switched(u, result)

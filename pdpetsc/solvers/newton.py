@@ -29,7 +29,7 @@ from pdpetsc.solvers.coupled_tangent import CoupledInverse
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.equilibrium import SETTLINGS, UNBALANCED
 from pdpetsc.solvers.growth import growth_of_deviation
-from pdpetsc.solvers.load_steps import LoadStepSolver
+from pdpetsc.solvers.load_steps import SAME_TIME, LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
 from pdpetsc.solvers.snes import SnesSolver
 
@@ -98,7 +98,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         result : StepResult
         """
         sought = self._equilibrium
-        self.t = t
+        self.t, self.ends = t, t >= 1.0 - SAME_TIME
         sought.impose(t)
         if sought.begin(u):
             self._use_tangent()

@@ -51,8 +51,10 @@ class SnesSolver(StepSolver):
     """
 
     unit = "Newton"
-    # Whether negative pivots are worth a factorisation of their own.
+    # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
     asks_for_stability = False
+    # Whether the last solve was at the end of the load.
+    ends = False
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool]) -> None:
         self.problem = problem
@@ -228,13 +230,13 @@ class SnesSolver(StepSolver):
         return self._equilibrium.judge(self._read(x), self.rtol) and self._others_converged(x)
 
     def _pivots(self) -> int | None:
-        """Return the negative pivots of the tangent at an equilibrium; None unless the tangent was factored.
+        """Return the negative pivots of the tangent at an equilibrium; None if they are unknown.
 
         The tangent of the second iteration and of later ones is close to that of the equilibrium. That of the first one
-        belongs to the start of the solve, so that the tangent of the equilibrium is factored here; not with softening,
-        with which it would be that of unloading. If the steps depend on stability, those of the symmetric part of an
-        unsymmetric tangent are counted. Conjugate gradients that met negative curvature, or gave a step along which the
-        energy rises, indicate at least one negative pivot.
+        belongs to the start of the solve. If it matters (``asks_for_stability``, the end of the load, or negative
+        pivots), the tangent of the equilibrium is factored here; not if the body softens, whose tangent there is that
+        of unloading. Conjugate gradients that met negative curvature, or gave a step along which the energy rises,
+        indicate at least one negative pivot.
         """
         ksp = self._tangent_solver
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
@@ -246,9 +248,10 @@ class SnesSolver(StepSolver):
             return None
         found, state = sought.negative_pivots(self.snes, ksp), sought.state(self._read(self._x))
         if found is None:
-            return sought.pivots_of_symmetric_part(state, ksp) if self.asks_for_stability and not self._bodies else None
+            return sought.pivots_of_unsymmetric(state, ksp) if self.asks_for_stability and not self._bodies else None
         changes = not (problem.linear or problem.softens) and problem.inertia is None
-        if changes and self.snes.getIterationNumber() < SEVERAL:
+        matters = self.asks_for_stability or self.ends or found > 0
+        if changes and matters and self.snes.getIterationNumber() < SEVERAL:
             sought.factor(state, ksp)
             found = sought.negative_pivots(self.snes, ksp)
         return found + self._bodies.unstable(state, self._reply) if found is not None and self._bodies else found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -106,7 +107,8 @@ class ContactForces(FacetContact):
         )
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
         bodies = bodies_of(body, mask)
-        deepest = max(self._off(rest), self._depth_at_particles(bodies), self._depth_between_facets(facets.area))
+        depths = self._depth_at_particles(bodies, facets.area), self._depth_between_facets(facets.area)
+        deepest = max(self._off(rest), *depths)
         if deepest > OVERLAP * spacing:
             raise CaseError(f"{title} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch.")
         # Smallest gap of all converged states.
@@ -117,15 +119,28 @@ class ContactForces(FacetContact):
         """Return the members of the facets (not collective)."""
         return self._at.stencils.point_ptr, self._at.stencils.members
 
-    def _depth_at_particles(self, bodies: list[int]) -> float:
-        """Compute the depth of the particles of bodies in the tool at the start [length] (collective)."""
-        cloud = self.body.cloud
+    def _depth_at_particles(self, bodies: list[int], area: Float) -> float:
+        """Compute the depth of the particles of bodies in the tool at the start [length] (collective).
+
+        The deepest particle counts if it is behind the nearest facet of the contact. One in front of it is in another
+        part of the body, which the tool does not see.
+        """
+        cloud, comm = self.body.cloud, self.body.cloud.comm
         inside = np.ones(cloud.n_owned, dtype=bool)
         if cloud.body is not None:
             inside &= np.isin(cloud.body[: cloud.n_owned], bodies)
         if "fictitious" in cloud.sets:
             inside &= ~cloud.sets["fictitious"][: cloud.n_owned]
-        return self._depth(cloud.x[: cloud.n_owned][inside], WIDE)
+        x = cloud.x[: cloud.n_owned][inside]
+        depth = self._depth(x, WIDE)
+        here = [(float(depth[k]), x[k].tolist()) for k in depth.argsort()[-1:]]
+        deepest, place = max(chain.from_iterable(comm.allgather(here)), default=(0.0, []))
+        if deepest == 0.0:
+            return 0.0
+        way = np.array(place) - self._x
+        far = np.linalg.norm(way, axis=1)
+        nearest = [(float(far[k]), float(way[k] @ area[k])) for k in far.argsort()[:1]]
+        return deepest if min(chain.from_iterable(comm.allgather(nearest)))[1] < 0.0 else 0.0
 
     def _depth_between_facets(self, area: Float) -> float:
         """Compute the depth of the sides of the facets in a tool that is narrower than these [length] (collective).
@@ -141,20 +156,24 @@ class ContactForces(FacetContact):
         step = (step - off[:, None] * normal)[beside]
         shares = np.arange(1, PER_SIDE + 1) / (2 * PER_SIDE)
         points = self._x[of[beside], None] + shares[:, None] * step[:, None]
-        return self._depth(points.reshape(-1, self.body.dim), 1.0)
+        depth = self._depth(points.reshape(-1, self.body.dim), 1.0)
+        return largest(self.body.cloud.comm, depth, initial=0.0)
 
-    def _depth(self, x: Float, width: float) -> float:
-        """Compute the largest depth of points (n, dim) of the body in the tool at the start [length] (collective).
+    def _depth(self, x: Float, width: float) -> Float:
+        """Compute the depth of points (n, dim) of the body in the tool at the start (n,) [length], 0 if it is harmless.
 
         Points near the surface may be in a tool that is wider than ``width`` spacings, up to ``SHALLOW``: it touches
-        the centroids of facets only, and a surface is curved or has steps.
+        the centroids of facets only, and a surface is curved or has steps. A tool is narrower if that distance against
+        its normal leads out of it, or nowhere from a point in its middle, which has no normal.
         """
         x, seen = self._start(x)
         g, n, _ = self._tool.gap(x, seen)
-        width *= self._spacing
-        beyond = self._tool.gap(x, seen - width * n)[0]
-        deep = (g < -SHALLOW * self._spacing) | (beyond > g - 0.5 * width)
-        return largest(self.body.cloud.comm, -g[deep], initial=0.0)
+        into = np.flatnonzero(g < 0.0)
+        beyond = self._tool.gap(x[into], seen[into] - width * self._spacing * n[into])[0]
+        deep = (g[into] < -SHALLOW * self._spacing) | (beyond > 0.0) | (beyond == g[into])
+        depth = np.zeros(len(x))
+        depth[into[deep]] = -g[into[deep]]
+        return depth
 
     def _start(self, x: Float) -> tuple[Float, Float]:
         """Return points (n, dim) and their displacements as seen from the tool at the start."""
@@ -195,7 +214,8 @@ class ContactForces(FacetContact):
         R, d = self._moving.motion(state.t)
         way = self._most * np.sqrt(((u - last.u) ** 2).sum(axis=1).max(initial=0.0))
         way += np.linalg.norm(d - last.d) + np.linalg.norm(R - last.R) * last.arm
-        return bool(last.gap - way > self._p.max(initial=0.0) / self._c + self._spacing * CLEAR)
+        rounding = CLEAR * (self._spacing + CLEAR * abs(last.gap))
+        return bool(last.gap - way > self._p.max(initial=0.0) / self._c + rounding)
 
     def _gap(self, state: State) -> tuple[Float, Float]:
         return self._distance(state)[:2]

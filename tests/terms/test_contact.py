@@ -6,6 +6,7 @@ import dataclasses
 import json
 import shutil
 
+import meshio
 import numpy as np
 import pytest
 
@@ -613,10 +614,46 @@ def test_newton_converges_for_random_tools(count, tmp_path):
     assert max(iterations) < (20 if count == 40 else 60)
 
 
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_tool_may_contain_another_part_of_the_body(ranks):
+    """The head of a bolt rests on a plane, beyond which its shank hangs."""
+    text = """
+import pdpetsc as pd
+
+box, slab = pd.region.Box, pd.region.Slab
+bolt = pd.Lattice((0.0, 0.0), (3.0, 1.5), 0.125, keep=box((-1.0, 1.0), (4.0, 2.0)) | box((1.0, -1.0), (2.0, 1.5)))
+below = slab("y", low=0.9, high=1.01) & (slab("x", high=0.99) | slab("x", low=2.01))
+pd.prepare(pd.Case(
+    bolt, material=pd.LinearElastic(1000.0, 0.3),
+    conditions=[pd.Contact(below, pd.RigidPlane((0.0, 1.0), (0.0, 1.0))), pd.Clamp("-y")],
+))
+print("accepted")
+"""
+    assert "accepted" in script_on(ranks, text)
+
+
+def test_a_thick_tool_that_fits_a_round_body_is_accepted(tmp_path):
+    """Half a ring around half of a disc: points between facets, in their plane, are slightly in it."""
+    angle = np.linspace(0.0, np.pi, 65)
+    inner, outer = (radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1) for radius in (1.0, 2.0))
+    ring = pd.RigidSurface(np.concatenate([inner, outer[::-1]])[::-1])
+    around = np.linspace(0.0, 2.0 * np.pi, 65)[:-1]
+    radius = np.linspace(0.0, 1.0, 11)[1:]
+    rings = [[(0.0, 0.0)], *(np.stack([r * np.cos(around), r * np.sin(around)], axis=1) for r in radius)]
+    points = np.concatenate(rings)
+    triangles = [[0, 1 + k, 1 + (k + 1) % 64] for k in range(64)]
+    for layer in range(9):
+        for k in range(64):
+            a, b = 1 + 64 * layer + k, 1 + 64 * layer + (k + 1) % 64
+            triangles += [[a, a + 64, b + 64], [a, b + 64, b]]
+    meshio.Mesh(points, [("triangle", np.array(triangles))]).write(tmp_path / "disc.vtk")
+    held = pd.Displacement(pd.region.Slab("y", low=0.9), x=0.0, y=0.0)
+    conditions = [pd.Contact(pd.region.Slab("y", high=-0.1), ring), held]
+    pd.prepare(pd.Case(pd.MeshNodes(tmp_path / "disc.vtk"), material=pd.LinearElastic(E, NU), conditions=conditions))
+
+
 def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
     """A box as triangles of an STL file, which repeats its vertices, in another unit, against a RigidBox."""
-    import meshio
-
     points, triangles = cube(500.0, 250.0, 250.0, 850.0)
     path = tmp_path / "tool.stl"
     meshio.Mesh(points, [("triangle", np.array(triangles))]).write(path)
@@ -636,8 +673,6 @@ def test_a_tool_from_a_file_presses_as_the_same_tool(tmp_path):
 
 
 def test_a_tool_from_a_file_takes_a_load(tmp_path):
-    import meshio
-
     points, triangles = cube()
     path = tmp_path / "tool.stl"
     meshio.Mesh(points, [("triangle", np.array(triangles))]).write(path)

@@ -28,9 +28,9 @@ KEPT = 100
 # forces in a state at rest so far, or at the start of a solve of the step. Forces of a motion that does not come to
 # rest do not count.
 UNLOADED = 1e-3
-# A residual of this share of the tolerated one is at rest, whatever it began with. A body that begins close to
-# equilibrium otherwise iterates to round-off.
-FAR_BELOW = 1e-3
+# A residual of this share of these forces is round-off: a body that begins close to equilibrium may not reach the
+# tolerance times its first values.
+ROUND_OFF = 1e-12
 
 
 class RelaxationSolver(LoadStepSolver):
@@ -40,8 +40,8 @@ class RelaxationSolver(LoadStepSolver):
     most 0.9 of the critical time step ``2 / omega_max``. Power iterations give the largest frequency of ``M^-1 K``.
 
     The body is at rest if residual and change of displacement have decreased to the tolerance times their first values.
-    The residual must also have decreased to the tolerance times the norm of external forces and reactions. It suffices
-    that it has decreased to a thousandth of that.
+    The residual must also have decreased to the tolerance times the norm of external forces and reactions. A residual
+    of round-off suffices.
 
     The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step, with the
     diagonal stiffness from two successive residuals.
@@ -146,9 +146,9 @@ class RelaxationSolver(LoadStepSolver):
                     return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
             if not math.isfinite(size):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
-            tolerated = tolerance * max(reference, least)
             decreased = dense <= tolerance * density and moving <= tolerance * first_change
-            if size <= FAR_BELOW * tolerated or (decreased and size <= tolerated):
+            balanced = decreased and size <= tolerance * max(reference, least)
+            if balanced or size <= ROUND_OFF * max(reference, least / UNLOADED):
                 self._largest = max(self._largest, reference)
                 norms.append(size)
                 return moved, StepResult(True, "at rest", norms, reference, iteration)

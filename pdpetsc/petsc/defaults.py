@@ -103,11 +103,12 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             # Factor the last dense block without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
-    definite = problem.symmetric and solver.of_energy
-    defaults |= {"ksp_type": "cg" if definite else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    defaults["ksp_divtol"] = GROWN
-    if choice.levels and problem.symmetric and of_points and not definite:
-        defaults["ksp_type"] = "minres"
+    kind = "gmres"
+    if problem.symmetric and solver.of_energy:
+        kind = "cg"
+    elif problem.symmetric and choice.levels and of_points:
+        kind = "minres"
+    defaults |= {"ksp_type": kind, "ksp_rtol": 1e-8, "ksp_max_it": 500, "ksp_divtol": GROWN}
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults["ksp_pc_side"] = "right"
         if not solver.of_energy:

@@ -73,6 +73,10 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         self._set_up(self._create(), tangent.mat, tangent.preconditioner)
 
     @property
+    def ends(self) -> bool:
+        return self.t >= 1.0 - SAME_TIME
+
+    @property
     def tangent_at(self) -> Float | None:
         """Return the displacement at which the tangent was updated last, which the next step starts with."""
         damage = self.problem.damage
@@ -98,7 +102,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         result : StepResult
         """
         sought = self._equilibrium
-        self.t, self.ends = t, t >= 1.0 - SAME_TIME
+        self.t = t
         sought.impose(t)
         if sought.begin(u):
             self._use_tangent()

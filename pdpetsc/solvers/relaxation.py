@@ -79,7 +79,7 @@ class RelaxationSolver(LoadStepSolver):
         mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])
         self._mass = problem.supports.lumped_mass(mass)
         self._courant = _courant_step(problem)
-        self._largest = self._at_start = self.t = 0.0
+        self._largest = self._at_start = 0.0
 
     @classmethod
     def make(cls, setting: Setting) -> RelaxationSolver:
@@ -119,7 +119,8 @@ class RelaxationSolver(LoadStepSolver):
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
         density = norm(self._comm, residual / self._mass[:, None])
         self._at_start = max(self._at_start, reference)
-        least = UNLOADED * max(self._largest, self._at_start)
+        most = max(self._largest, self._at_start)
+        least = UNLOADED * most
         tolerance = self._options.tolerance
         if norms[0] <= tolerance * max(reference, least):
             # The body is in equilibrium already: the first residual is too small as a reference.
@@ -148,7 +149,7 @@ class RelaxationSolver(LoadStepSolver):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
             decreased = dense <= tolerance * density and moving <= tolerance * first_change
             balanced = decreased and size <= tolerance * max(reference, least)
-            if balanced or size <= ROUND_OFF * max(reference, least / UNLOADED):
+            if balanced or size <= ROUND_OFF * max(reference, most):
                 self._largest = max(self._largest, reference)
                 norms.append(size)
                 return moved, StepResult(True, "at rest", norms, reference, iteration)

@@ -53,8 +53,6 @@ class SnesSolver(StepSolver):
     unit = "Newton"
     # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
     asks_for_stability = False
-    # Whether the last solve was at the end of the load.
-    ends = False
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool]) -> None:
         self.problem = problem
@@ -278,6 +276,11 @@ class SnesSolver(StepSolver):
             r.set(np.inf)
             return
         r.array = np.concatenate([residual.ravel() / self._scales.force, self._other_residuals(x)])
+
+    @property
+    def ends(self) -> bool:
+        """Return True if the last solve was at the end of the load (not collective)."""
+        return False
 
     @property
     def meets_curvature(self) -> bool:

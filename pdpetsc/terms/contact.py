@@ -107,7 +107,7 @@ class ContactForces(FacetContact):
         )
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
         bodies = bodies_of(body, mask)
-        depths = self._depth_at_particles(bodies, facets.area), self._depth_between_facets(facets.area)
+        depths = self._depth_at_particles(bodies, facets.area), self._depth_between_facets(rest, facets.area)
         deepest = max(self._off(rest), *depths)
         if deepest > OVERLAP * spacing:
             raise CaseError(f"{title} overlaps the body by {deepest:.3g} at the start; begin with a gap or in touch.")
@@ -142,7 +142,7 @@ class ContactForces(FacetContact):
         nearest = [(float(far[k]), float(way[k] @ area[k])) for k in far.argsort()[:1]]
         return deepest if min(chain.from_iterable(comm.allgather(nearest)))[1] < 0.0 else 0.0
 
-    def _depth_between_facets(self, area: Float) -> float:
+    def _depth_between_facets(self, rest: State, area: Float) -> float:
         """Compute the depth of the sides of the facets in a tool that is narrower than these [length] (collective).
 
         The points are in the plane of a facet, up to half-way to the particles next to its own. No crack is between.
@@ -151,7 +151,7 @@ class ContactForces(FacetContact):
         spacing, normal = nearest_distances(self.body)[at.owner[of]], (area / self._at.area[:, None])[of]
         step = x[at.members] - x[at.owner[of]]
         size, off = np.linalg.norm(step, axis=1), (step * normal).sum(axis=1)
-        near = self._tool.gap(*self._start(self._x))[0][of] < spacing
+        near = self._gap(rest)[0][of] < spacing
         beside = near & (size > 0.0) & (size < BESIDE * spacing) & (np.abs(off) < FLAT * size)
         step = (step - off[:, None] * normal)[beside]
         shares = np.arange(1, PER_SIDE + 1) / (2 * PER_SIDE)
@@ -166,7 +166,7 @@ class ContactForces(FacetContact):
         the centroids of facets only, and a surface is curved or has steps. A tool is narrower if that distance against
         its normal leads out of it, or nowhere from a point in its middle, which has no normal.
         """
-        x, seen = self._start(x)
+        seen = self._moving.relative(x, np.zeros_like(x), START.load)[0]
         g, n, _ = self._tool.gap(x, seen)
         into = np.flatnonzero(g < 0.0)
         beyond = self._tool.gap(x[into], seen[into] - width * self._spacing * n[into])[0]
@@ -174,10 +174,6 @@ class ContactForces(FacetContact):
         depth = np.zeros(len(x))
         depth[into[deep]] = -g[into[deep]]
         return depth
-
-    def _start(self, x: Float) -> tuple[Float, Float]:
-        """Return points (n, dim) and their displacements as seen from the tool at the start."""
-        return x, self._moving.relative(x, np.zeros_like(x), START.load)[0]
 
     def _points(self, state: State) -> Points:
         return self._at

@@ -1,9 +1,14 @@
 """Nodes of quadrilaterals in a strip and of grids of hexahedra, as ``pd.MeshNodes`` makes them of a file."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 
-import pdpetsc as pd
-from pdpetsc.declare.cells import Block, facets, parts_of_facets, shares_of_nodes
+from pdpetsc.declare.cells import Block
+
+sys.path.append(str(Path(__file__).parent.parent / "convergence"))
+import common
 
 
 def particles(x, y, closed=False):
@@ -16,7 +21,7 @@ def particles(x, y, closed=False):
     row = np.arange(rows if closed else rows - 1)[:, None]
     first, after = ((at % rows * (n + 1) + np.arange(n)).ravel() for at in (row, row + 1))
     quads = Block("quad", np.stack([first, after, after + 1, first + 1], axis=1))
-    return _of_nodes(points, quads)
+    return common.of_nodes(points, quads)
 
 
 def blocks(grids):
@@ -31,12 +36,4 @@ def blocks(grids):
     points = np.concatenate([grid.reshape(-1, 3) for grid in grids])
     # Nodes at one place differ by round-off.
     _, first, number = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
-    return _of_nodes(points[first], Block("hexahedron", number.reshape(-1)[np.concatenate(cells)]))
-
-
-def _of_nodes(points, block):
-    nodes, volume = shares_of_nodes(points, [block])
-    found = facets(points, [block])
-    node, at, area, _, outline = parts_of_facets(points, found.corners[found.free], found.area[found.free])
-    corners = outline if points.shape[1] == 3 else None
-    return pd.Arrays(points[nodes], volume, facets=pd.Facets(at, area, np.searchsorted(nodes, node), corners=corners))
+    return common.of_nodes(points[first], Block("hexahedron", number.reshape(-1)[np.concatenate(cells)]))

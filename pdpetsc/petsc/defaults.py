@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.petsc.jacobian import Choice
+from pdpetsc.petsc.library import DIRECTIONS
 from pdpetsc.problem.problem import Problem
 
 # Relative tolerance of the first linear solve of a step, and the largest of the others.
@@ -13,8 +14,6 @@ LOOSE = 1e-3
 # Growth of the residual at which a linear solver gives up. The preconditioner does not know point supports: in its norm
 # the residual grows by 1e5 before it falls. PETSc would give up at 1e4.
 GROWN = 1e12
-# Directions of GMRES along a path before it restarts.
-DIRECTIONS = 100
 
 # Options of a linear solver; with several blocks, each block has its own.
 OF_A_SOLVER = ("ksp_", "pc_", "mat_", "mg_")

@@ -77,7 +77,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     chosen : mapping
         PETSc options of the case; options of the command line take precedence.
     pivots : bool
-        Whether the case requests the stability of equilibria, which requires a factorisation.
+        Whether the case requests the stability of equilibria.
 
     Raises
     ------
@@ -106,6 +106,8 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     cloud, dim = problem.body.cloud, problem.dim
     unknowns = cloud.n_global * dim
     most, kind = _largest_factored(problem)
+    # Iterative solvers find negative curvature of symmetric tangents that do not soften.
+    pivots = pivots and (problem.damage is not None or not problem.symmetric)
     small = unknowns <= most or pivots
     direct = pc in ("lu", "cholesky") or (not pc and small)
     why = f"{unknowns:,} unknowns are {'at most' if unknowns <= most else 'more than'} {most:,}{kind}"

@@ -17,6 +17,13 @@ from pdpetsc.arrays import Float
 
 # Types of SNES that are Newton's method.
 NEWTON = ("newtonls", "newtontr", "newtontrdc", "ksponly")
+# Reasons of conjugate gradients for a matrix or a preconditioner that is not definite.
+INDEFINITE = (
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+)
+# Largest number of vectors that GMRES stores for an indefinite matrix.
+DIRECTIONS = 100
 # PETSc's PC_SETUP_ERROR.
 PC_FAILED = -1
 # Parameters of mallopt in glibc, its default number of mappings, and the largest threshold that it accepts [bytes].
@@ -178,6 +185,11 @@ def null_pivots(ksp: PETSc.KSP) -> int:
     return int(pc.getFactorMatrix().getMumpsInfog(28))
 
 
+def use_absolute_diagonal(pc: PETSc.PC) -> None:
+    """Let the preconditioner ``jacobi`` use the absolute values of the diagonal (not collective)."""
+    _check(_library().PCJacobiSetUseAbs(ctypes.c_void_p(pc.handle), 1))
+
+
 def put_irregular(b: PETSc.Vec) -> None:
     """Fill a vector with numbers between -1 and 1 without symmetry (not collective)."""
     first, last = b.getOwnershipRange()
@@ -208,6 +220,27 @@ def with_solves_to(snes: PETSc.SNES, rtol: float) -> Iterator[None]:
             yield
     finally:
         snes.setUseEW(forcing)
+
+
+@contextlib.contextmanager
+def with_indefinite(ksp: PETSc.KSP) -> Iterator[None]:
+    """Replace conjugate gradients by GMRES, which solves indefinite systems, in the ``with`` block."""
+    kind, side, norm = ksp.getType(), ksp.getPCSide(), ksp.getNormType()
+    ksp.setType("gmres")
+    ksp.setGMRESRestart(DIRECTIONS)
+    ksp.setPCSide(PETSc.PC.Side.RIGHT)
+    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+    try:
+        yield
+    finally:
+        ksp.setType(kind)
+        ksp.setPCSide(side)
+        ksp.setNormType(norm)
+
+
+def met_indefinite(ksp: PETSc.KSP) -> bool:
+    """Return True if the last solve by conjugate gradients failed since a matrix is not definite (not collective)."""
+    return ksp.getType() == "cg" and ksp.getConvergedReason() in INDEFINITE
 
 
 def start_anew(ksp: PETSc.KSP) -> None:

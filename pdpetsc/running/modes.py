@@ -193,6 +193,11 @@ def frequencies(
     # The factor counts the unstable modes, whose eigenvalues are negative.
     flexible(np.zeros_like(u))
     unstable = flexible.negative_pivots() or 0
+    if unstable == 0 and not flexible.stable():
+        raise SolveError(
+            f"The equilibrium at step time {t:.6g} is unstable, or nothing tells whether it is, and only -pc_type "
+            f"cholesky counts its unstable modes. Use it."
+        )
     kinds = [("SA", unstable), ("LA", count)] if unstable else [("LA", count)]
     added = _rigid_bodies(problem).mass_roots(problem.state(u, t))
     values, shapes = of_inverse(problem, flexible, masses(case, problem), kinds, added)
@@ -258,7 +263,7 @@ def buckling(
     (u0, t0), (u1, t1) = ends[0], ends[-1]
     flexible = _flexibility(solver, u0, t0)
     flexible(np.zeros_like(u0))
-    if flexible.negative_pivots():
+    if not flexible.stable():
         raise SolveError(
             f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable; apply a "
             f"smaller load."

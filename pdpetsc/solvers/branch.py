@@ -61,7 +61,7 @@ class BranchSwitch:
         Raises
         ------
         SolveError
-            The tangent was not factored, so that its eigenvector is unknown.
+            The eigensolver finds no unstable eigenvector.
         """
         begin, first = u, result
         for _ in range(SWITCHES):
@@ -92,16 +92,10 @@ class BranchSwitch:
         n = cloud.n_owned
         flexible = self.inverse(u)
         flexible(np.zeros_like(u))
-        pivots = flexible.negative_pivots()
-        if pivots is None:
-            raise SolveError(
-                f"At step time {self.solver.t:.6g} the equilibrium is unstable, and only -pc_type cholesky determines "
-                f"the eigenvector along which to switch; take it."
-            )
-        if pivots == 0:
+        if flexible.stable():
             return None
         volume = cloud.volume[:n]
-        values, shapes = of_inverse(problem, flexible, volume, [("SA", pivots)])
+        values, shapes = of_inverse(problem, flexible, volume, [("SA", flexible.negative_pivots() or 1)])
         if not len(values):
             raise SolveError(
                 f"The eigensolver found no unstable mode of the equilibrium at step time {self.solver.t:.6g}."

@@ -258,6 +258,10 @@ class CoupledInverse(Flexibility):
         found = self._inverse.negative_pivots()
         return None if found is None else found + negative(self._S)
 
+    def stable(self) -> bool | None:
+        found = self._inverse.stable()
+        return found and negative(self._S) == 0
+
 
 def negative(S: Float) -> int:
     """Return the number of negative eigenvalues of the symmetric part of a matrix."""

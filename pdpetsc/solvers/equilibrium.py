@@ -10,6 +10,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import anywhere, bounds, norm, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
+from pdpetsc.petsc.curvature import has_negative_eigenvalue
 from pdpetsc.petsc.jacobian import make_tangent
 from pdpetsc.petsc.library import negative_pivots, negative_pivots_of_symmetric_part, refactors, start_anew
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
@@ -334,6 +335,22 @@ class Equilibrium:
         if not known or not refactors(snes):
             return None
         return negative_pivots(ksp, self.tangent.mat)
+
+    def negative_curvature(self, state: State, ksp: PETSc.KSP, anew: bool) -> int | None:
+        """Return 1 if the symmetric tangent has negative eigenvalues, 0 if it has none; None if that is unknown.
+
+        The tangent is updated to the state if ``anew``. That of held damage does not determine stability.
+        """
+        if anew:
+            self.update(state)
+        if self._factored_with != (False, self.problem.rebuilds):
+            return None
+        ksp.setOperators(self.tangent.mat, self.tangent.preconditioner)
+        free = self.tangent.mat.createVecRight()
+        free.array = self.free.ravel()
+        found = has_negative_eigenvalue(ksp, free)
+        free.destroy()
+        return None if found is None else int(found)
 
     def pivots_of_unsymmetric(self, state: State, ksp: PETSc.KSP) -> int | None:
         """Return 0 if the symmetric part of the tangent at a state has no negative pivots; None if that is unknown.

@@ -162,8 +162,8 @@ class LoadStepSolver(StepSolver):
             self.problem.revert()
             raise SolveError(
                 f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
-                f'"{unstable}") asks for: -pc_type cholesky with MUMPS counts its negative pivots, but not '
-                f"where damage is held during a jump; an unsymmetric tangent tells if its symmetric part has none; "
+                f'"{unstable}") asks for: the tangent of damage that is held during a jump does not, and an '
+                f"unsymmetric tangent only if it is factored and its symmetric part has no negative pivots; "
                 f"results are complete up to step time {t:.6g}; take unstable='warn' to go on without."
             )
         if result.negative_pivots and unstable == "switch":

@@ -17,8 +17,10 @@ from pdpetsc.petsc.library import (
     full_steps,
     line_search,
     linear_solver,
+    met_indefinite,
     negative_pivots,
     start_anew,
+    with_indefinite,
     with_solves_to,
 )
 from pdpetsc.problem.assembly import Filler
@@ -216,11 +218,18 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         return self._solve_from(start.ravel() / self._scales.length)
 
     def _solve_from(self, unknowns: Float) -> int:
-        self._x.array = unknowns
+        self._x.array, self._indefinite = unknowns, False
+        ksp, failed = self.snes.getKSP(), PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
         self.snes.solve(None, self._x)
-        if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            start_anew(self.snes.getKSP())
-        return int(self.snes.getLinearSolveIterations())
+        linear = int(self.snes.getLinearSolveIterations())
+        if self.snes.getConvergedReason() == failed and self.problem.damage is None and met_indefinite(ksp):
+            self._indefinite = True
+            with with_indefinite(ksp):
+                self.snes.solve(None, self._x)
+            linear += int(self.snes.getLinearSolveIterations())
+        if self.snes.getConvergedReason() == failed:
+            start_anew(ksp)
+        return linear
 
     def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
         """Compute the linear response to new prescribed displacements: the first Newton step, from the old state.
@@ -249,6 +258,9 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         ksp, tangent = self.snes.getKSP(), self._equilibrium.tangent
         ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.solve(self._r, self._x)
+        if met_indefinite(ksp):
+            with with_indefinite(ksp):
+                ksp.solve(self._r, self._x)
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
@@ -273,3 +285,9 @@ class _Inverse(Flexibility):
 
     def negative_pivots(self) -> int | None:
         return negative_pivots(self._solver.snes.getKSP(), self._solver._equilibrium.tangent.mat)
+
+    def stable(self) -> bool | None:
+        pivots = self.negative_pivots()
+        if pivots is None:
+            pivots = self._solver._equilibrium.negative_curvature(self._state, self._solver.snes.getKSP(), False)
+        return None if pivots is None else pivots == 0

@@ -194,6 +194,10 @@ class Flexibility(ABC):
     def negative_pivots(self) -> int | None:
         """Return the number of unstable modes after a solve; None unless the tangent was factored."""
 
+    @abstractmethod
+    def stable(self) -> bool | None:
+        """Return True if there is no unstable mode; None if that is unknown."""
+
 
 class Solver(ABC):
     """March from one equilibrium to the next.

@@ -65,6 +65,8 @@ class SnesSolver(StepSolver):
         self.snes = PETSc.SNES().create(comm=self._comm)
         # Whether the energy rises along the last step of the linear solver.
         self._rises = False
+        # Whether conjugate gradients failed in the last solve, since a matrix was not definite.
+        self._indefinite = False
 
     def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
         """Set the functions of SNES, and the options of SNES and linear solvers."""
@@ -233,23 +235,30 @@ class SnesSolver(StepSolver):
         The tangent of the second iteration and of later ones is close to that of the equilibrium. That of the first one
         belongs to the start of the solve. If it matters (``asks_for_stability``, the end of the load, or negative
         pivots), the tangent of the equilibrium is factored here; not if the body softens, whose tangent there is that
-        of unloading. Conjugate gradients that met negative curvature, or gave a step along which the energy rises,
-        indicate at least one negative pivot.
+        of unloading. Iterative solvers indicate at least one negative pivot: conjugate gradients that met negative
+        curvature or gave a step along which the energy rises, and a solve of its own if it matters
+        (``has_negative_eigenvalue``), which is cheap with two levels.
         """
         ksp = self._tangent_solver
         indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
-        solved = self.meets_curvature and self.snes.getIterationNumber() > 0
-        if solved and ksp is not None and (self._rises or ksp.getConvergedReason() == indefinite):
-            return 1
-        sought, problem = self._equilibrium, self.problem
+        several, solved = (self.snes.getIterationNumber() >= least for least in (SEVERAL, 1))
         if ksp is None:
             return None
+        if self.meets_curvature and solved and (self._rises or ksp.getConvergedReason() == indefinite):
+            return 1
+        sought, problem = self._equilibrium, self.problem
         found, state = sought.negative_pivots(self.snes, ksp), sought.state(self._read(self._x))
-        if found is None:
-            return sought.pivots_of_unsymmetric(state, ksp) if self.asks_for_stability and not self._bodies else None
         changes = not (problem.linear or problem.softens) and problem.inertia is None
-        matters = self.asks_for_stability or self.ends or found > 0
-        if changes and matters and self.snes.getIterationNumber() < SEVERAL:
+        asks = self.asks_for_stability
+        if found is None:
+            cheap = self.ends and changes and ksp.getPC().getType() == "mg"
+            if (asks or cheap or self._indefinite) and problem.symmetric and (several or not problem.softens):
+                found = sought.negative_curvature(state, ksp, changes and not several)
+            elif asks and not self._bodies:
+                found = sought.pivots_of_unsymmetric(state, ksp)
+            if found != 0:
+                return found
+        elif changes and not several and (asks or self.ends or found > 0):
             sought.factor(state, ksp)
             found = sought.negative_pivots(self.snes, ksp)
         return found + self._bodies.unstable(state, self._reply) if found is not None and self._bodies else found

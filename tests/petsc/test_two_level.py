@@ -319,7 +319,12 @@ def test_what_is_chosen_follows_size_damage_and_control_and_is_said(monkeypatch)
     chosen = jacobian.choose(held, {}, Newton())
     assert chosen.matrix_free and chosen.levels == "additive" and "60 unknowns are more than 10" in chosen.why
     assert "background grid" in jacobian.words(chosen, 0) and "more than" in chosen.why
-    assert jacobian.choose(held, {}, Newton(), pivots=True).direct
+    assert not jacobian.choose(held, {}, Newton(), pivots=True).direct
+    monkeypatch.setattr(jacobian, "HARD_UNKNOWNS", {2: 10})
+    softens = damaged_body(2, law, control=pd.Silling(0.5)).problem
+    assert jacobian.choose(softens, {}, Newton(), pivots=True).direct
+    assert not jacobian.choose(softens, {}, Newton()).direct
+    monkeypatch.setattr(jacobian, "HARD_UNKNOWNS", {2: 1000})
     assert jacobian.choose(loose, {}, Newton()).direct
     assert jacobian.choose(damaged_body(2, law, control=pd.Silling(0.5)).problem, {}, Newton()).direct
     near = jacobian.choose(held, {"pc_type": "gamg"}, Newton())

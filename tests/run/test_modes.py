@@ -135,6 +135,12 @@ def test_tension_raises_a_frequency_and_compression_beyond_buckling_makes_it_neg
     assert pressed < 0.0
 
 
+@pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"pd_jacobian": "matfree", "pc_type": "mg"}])
+def test_only_a_factorisation_counts_unstable_modes(options, tmp_path):
+    with pytest.raises(pd.SolveError, match="is unstable, or nothing tells"):
+        pd.run(strip(-0.05), tmp_path, options=options)
+
+
 @pytest.mark.parametrize("of", ["frequency", "buckling"])
 def test_a_tangent_without_a_matrix_has_the_same_modes(of, tmp_path):
     """Newton's method solves its linear systems to 1e-3 only, the modes of a nonlinear body to round-off."""

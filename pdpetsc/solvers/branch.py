@@ -85,8 +85,9 @@ class BranchSwitch:
 
         Eigenvalues are those of ``K phi = lambda V phi`` with the volumes of the particles. The largest component is 1
         [-]. The mean displacement is positive, or if it vanishes a sum with factors that belong to particles. Of
-        several eigenvectors with the same eigenvalue, the one with the largest such sum is returned. The result is thus
-        the same on any number of ranks. It is None if no eigenvalue is negative.
+        several eigenvectors with the same eigenvalue, the one with the largest such sum is returned; without a
+        factorisation, the one that the irregular start of the iteration contains. The result is thus the same on any
+        number of ranks. It is None if no eigenvalue is negative.
         """
         problem, cloud = self.solver.problem, self.solver.problem.body.cloud
         n = cloud.n_owned

@@ -452,7 +452,9 @@ def _check_datasets(
     columns |= dict.fromkeys(texts, ((), np.uint8))
     groups = {name.split("/")[0] for name in columns if "/" in name}
     expected = dict.fromkeys(groups, False) | dict.fromkeys(columns, True)
-    _must(is_dataset == expected, f"it holds {', '.join(sorted(is_dataset))}")
+    lacks, more = (sorted(set(one) - set(other)) for one, other in ((expected, is_dataset), (is_dataset, expected)))
+    parts = [f"it {verb} {', '.join(names)}" for verb, names in (("lacks", lacks), ("also holds", more)) if names]
+    _must(is_dataset == expected, " and ".join(parts) or f"it holds {', '.join(sorted(is_dataset))}")
     of_cell = (len(head.virtual), len(head.tangent_virtual))
     _must(of_cell == (n_virtual, n_virtual if "tangent" in is_dataset else 0), f"it has {of_cell} numbers of a cell")
     _must(not of_bonds or "bonds" in is_dataset, f"it lacks the bonds of {head.damage}")

@@ -1,4 +1,4 @@
-"""Extrapolation of the last load step, as initial guess for materials with history and for contact."""
+"""The last step, for the initial guess with history or contact and for the direction of a path."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Loaded(Protocol):
 
 
 class LastStep:
-    """Store the change of the displacement in the last load step of a body whose material has a history, or of contact.
+    """Store the change of the displacement in the last step: of materials with history, contact and paths by length.
 
     At a committed state the tangent of a yielded material is elastic. The linear response to new conditions then leads
     far from continued yielding. Where a tool moves on, the facets that it has yet to touch do not resist in the
@@ -51,6 +51,11 @@ class LastStep:
     problem : Problem
         The problem.
 
+    Attributes
+    ----------
+    change : (n_owned, dim) float64
+        The change [length]; 0 before the first step.
+
     Notes
     -----
     Methods are collective unless stated otherwise.
@@ -59,26 +64,26 @@ class LastStep:
     def __init__(self, problem: Loaded) -> None:
         self._problem = problem
         n, dim = problem.body.cloud.n_owned, problem.body.dim
-        self._change = np.zeros((n, dim))
+        self.change = np.zeros((n, dim))
         # Load parameters of its end and its beginning, the same for all particles.
         self._times = np.zeros((n, 2))
         self._from: Float | None = None
 
     def begin(self, u: Float) -> None:
         """Store the unknowns (n_rows, dim) at the beginning of a step [length] (not collective)."""
-        self._from = u[: len(self._change)].copy()
+        self._from = u[: len(self.change)].copy()
 
     def commit(self, state: State) -> None:
         """Store the change in a converged step (not collective)."""
         if self._from is None:
             return
         self._times[:] = np.stack([np.full(len(self._times), state.t), self._times[:, 0]], axis=1)
-        self._change[:] = state.own - self._from
+        self.change[:] = state.own - self._from
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the arrays that a restart needs (not collective)."""
-        own = np.arange(len(self._change), dtype=np.int32)
-        return {"last_step_change": KeptArray(own, self._change), "last_step_times": KeptArray(own, self._times)}
+        own = np.arange(len(self.change), dtype=np.int32)
+        return {"last_step_change": KeptArray(own, self.change), "last_step_times": KeptArray(own, self._times)}
 
     def moved_on(self, u: Float, t: float) -> Float | None:
         """Extrapolate the unknowns (n_rows, dim) to load parameter ``t`` [length].
@@ -98,7 +103,7 @@ class LastStep:
             if off > STRAIGHT**2 * size:
                 return None
         found = u.copy()
-        found[: len(self._change)] += ratio * self._change
+        found[: len(self.change)] += ratio * self.change
         return found if self._problem.admissible(self._problem.state(found, t)) else None
 
     def _loads(self, u: Float, t: float) -> Float:

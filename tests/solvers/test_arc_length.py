@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
-from tests.commands import ROOT, results
+from tests.commands import ROOT, Stop, results
 
 ARCH = "runs/stability/arch.py"
 
@@ -64,8 +64,16 @@ def test_a_path_names_the_linear_solver_that_failed(tmp_path):
         pd.run(coarse_arch(pd_jacobian="matfree", ksp_type="minres"), tmp_path)
 
 
-def test_a_path_by_its_length_does_not_restart(tmp_path):
-    case = dataclasses.replace(load_case(ROOT / ARCH)(n=2, step=0.2), expect={}, results=None, picture=None)
-    pd.run(case, tmp_path / "first")
-    with pytest.raises(pd.CaseError, match="cannot restart: its direction"):
-        pd.run(case, tmp_path / "second", restart=tmp_path / "first")
+def test_a_restart_goes_on_along_the_path(tmp_path):
+    """Beyond the limit the direction of the last step distinguishes both ways along the path."""
+    case = dataclasses.replace(load_case(ROOT / ARCH)(n=2, step=0.1), expect={}, results=None, picture=None)
+    whole = pd.run(case, tmp_path / "whole").history
+    number = int(np.argmin(np.diff(whole["t"]))) + 1
+    assert whole["t"][number] < whole["t"][number - 1]
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(number, "step")})
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped, tmp_path / "part")
+    rest = pd.run(case, tmp_path / "rest", restart=tmp_path / "part").history
+    assert 1 < len(rest["t"]) < len(whole["t"])
+    for name in ("t", "top"):
+        np.testing.assert_allclose(rest[name], whole[name][-len(rest[name]) :], rtol=1e-9)

@@ -14,6 +14,7 @@ from pdpetsc.declare.solvers import ArcLength, BondStretch, Dissipation, Opening
 from pdpetsc.discrete.communicator import Comm, anywhere, scalar_product, total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
+from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.problem import Problem
 
 # The measure averages the bonds whose driving variable is within this relative distance of the largest.
@@ -56,8 +57,6 @@ class Measure(ABC):
     holds_while_bonds_break : bool
         Whether the measure keeps its meaning when bonds break. Equilibrium with fewer bonds is then sought at the value
         reached.
-    restarts : bool
-        Whether the measure is known from a converged state, so that a run can restart there.
 
     Notes
     -----
@@ -66,7 +65,6 @@ class Measure(ABC):
 
     end: float = math.inf
     holds_while_bonds_break: bool = True
-    restarts: bool = True
 
     @abstractmethod
     def constraint(self, u: Float, load: float) -> Constraint:
@@ -75,6 +73,9 @@ class Measure(ABC):
     @abstractmethod
     def reached(self, u: Float, load: float) -> float:
         """Return the value at unknowns ``u``."""
+
+    def restore(self, reached: float) -> None:  # noqa: B027
+        """Set the value at a restart, if the state does not determine it."""
 
     def left(self, u: Float, load: float) -> float:
         """Return the remaining growth."""
@@ -184,10 +185,9 @@ class DissipationMeasure(Measure):
 class ArcLengthMeasure(Measure):
     """Compute the length of the path of the displacements, ``sum |du|`` with ``|du|^2 = int du . du dV / V``.
 
-    A step prescribes its growth along the direction of the step before, by the load factor in the first step.
+    A step prescribes its growth along the direction of the step before, by the load factor in the first step. The
+    change of the displacement in the last step is in checkpoints (``LastStep``).
     """
-
-    restarts = False
 
     def __init__(self, problem: Problem, declared: ArcLength) -> None:
         cloud = problem.body.cloud
@@ -195,26 +195,30 @@ class ArcLengthMeasure(Measure):
         self._share = np.zeros((cloud.n_rows, 1))
         volume = cloud.volume[: cloud.n_owned]
         self._share[: cloud.n_owned, 0] = volume / total(cloud.comm, volume.sum())
-        self._last: Float | None = None
-        self._direction: Float | None = None
+        if problem.last_step is None:
+            problem.last_step = LastStep(problem)
+        self._step = problem.last_step
+        # Unknowns at the start of the step, and the length of the path up to them.
+        self._start: Float | None = None
         self._length = 0.0
 
     def constraint(self, u: Float, load: float) -> Constraint:
         """Return the growth along the last step from ``u``, or the load factor in the first step."""
-        if self._last is not None:
-            moved = u - self._last
-            size = self._size(moved)
-            if size > 0.0:
-                self._direction = moved / size
-                self._length += size
-        self._last = u.copy()
-        if self._direction is None:
-            return Constraint(np.zeros_like(u), True, u, load)
-        return Constraint(self._share * self._direction, False, u, load)
+        self._length, self._start = self.reached(u, load), u.copy()
+        self._step.begin(u)
+        direction = np.zeros_like(u)
+        direction[: len(self._step.change)] = self._step.change
+        size = self._size(direction)
+        if size == 0.0:
+            return Constraint(direction, True, u, load)
+        return Constraint(self._share * direction / size, False, u, load)
 
     def reached(self, u: Float, load: float) -> float:
         """Return the length of the path up to ``u`` [length]."""
-        return self._length if self._last is None else self._length + self._size(u - self._last)
+        return self._length if self._start is None else self._length + self._size(u - self._start)
+
+    def restore(self, reached: float) -> None:
+        self._length = reached
 
     def _size(self, du: Float) -> float:
         return math.sqrt(scalar_product(self._comm, self._share, du**2))

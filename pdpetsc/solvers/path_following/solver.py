@@ -40,9 +40,9 @@ BACK = 20
 MISSED = 0.02
 # Linear solves need not reduce the residual below this share of the tolerance of Newton's method.
 ENOUGH = 0.1
-# Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], and the
-# forces of the last equilibrium [force].
-RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
+# Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], the forces
+# of the last equilibrium [force], and the value of the measure.
+RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference", "measure")
 
 
 class PathSolver(SnesSolver):
@@ -135,14 +135,12 @@ class PathSolver(SnesSolver):
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
         super().resume(start)
-        found = [start.resume[name] for name in RESUMED if name in start.resume]
+        found = [start.resume[name] for name in RESUMED[:4] if name in start.resume]
         if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
             raise CaseError(
                 "The checkpoint is damaged: a negative step, force or load factor of the path has no meaning; restart "
                 "from another checkpoint."
             )
-        if not self._measure.restarts:
-            raise CaseError("A path by ArcLength cannot restart: its direction is not in the checkpoint.")
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the equilibria along the path, from the load factor of ``start`` (collective).
@@ -158,9 +156,10 @@ class PathSolver(SnesSolver):
         u, load = start.u, start.t
         self.load = load
         # A checkpoint of load stepping does not contain these numbers.
-        at_first = (options.measure.step, 0.0, 0.0, 0.0)
+        at_first = (options.measure.step, 0.0, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
-        step, largest_force, self._highest_load, self._carried = known
+        step, largest_force, self._highest_load, self._carried, reached = known
+        self._measure.restore(reached)
         self._equilibrium.reference = self._carried
         failures: list[StepResult] = []
         self._balance = balance = EnergyBalance(self.problem, self.problem.state(u, load), start.resume)
@@ -202,7 +201,8 @@ class PathSolver(SnesSolver):
                 step = min(step * GROWTH, options.measure.step)
             work = balance.work
             balance.keep()
-            now = zip(RESUMED, (step, largest_force, self._highest_load, self._carried), strict=True)
+            reached = self._measure.reached(u, load)
+            now = zip(RESUMED, (step, largest_force, self._highest_load, self._carried, reached), strict=True)
             resume = {**dict(now), **balance.resume}
             yield Converged(u, load, result, failures, resume, work=work)
             failures = []

@@ -40,11 +40,14 @@ class RigidMotion(Declared):
     about : sequence of float, optional
         The point (dim,) about which it turns [length].
     force : sequence of float or None, optional
-        Force on the tool or region at the end of the load (dim,) [force], of fixed direction at ``about``. None for the
-        components in which ``move`` prescribes the motion. No force by default.
+        Force on the tool or region at the end of the load (dim,) [force], at ``about``. None for the components in
+        which ``move`` prescribes the motion. No force by default.
     moment : float or sequence of float, optional
-        Moment about ``about`` at the end of the load [force length], of fixed direction in space: a number in 2D, (3,)
-        in space; 0 lets it turn freely. By default ``turn`` prescribes the rotation.
+        Moment about ``about`` at the end of the load [force length]: a number in 2D, (3,) in space; 0 lets it turn
+        freely. By default ``turn`` prescribes the rotation.
+    follows : bool
+        Whether force and moment keep their directions in axes that turn with the body, so that ``R force`` acts in
+        space, with a prescribed or free rotation R. By default they keep their directions in space.
     schedule : callable or sequence of callables, optional
         Factor on motions and loads as a function of the load parameter; ``Ramp()`` by default. A sequence has one for
         each direction, then one for the rotation if ``turn`` or ``moment`` is declared.
@@ -61,6 +64,7 @@ class RigidMotion(Declared):
     about: Sequence[float] = field(default=(), kw_only=True)
     force: Sequence[float | None] = field(default=(), kw_only=True)
     moment: Finite | Sequence[float] = field(default=(), kw_only=True)
+    follows: bool = field(default=False, kw_only=True)
     schedule: Schedule | Sequence[Schedule] = field(default_factory=Ramp, kw_only=True)
     mass: Positive | None = field(default=None, kw_only=True)
     inertia: Positive | Sequence[float] | Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
@@ -111,6 +115,8 @@ class RigidMotion(Declared):
         if both or (self.twisted and np.any(np.ravel(self.turn))):
             what = f"a motion and a force in {both[0]}" if both else "a turn and a moment"
             raise CaseError(f"{title} has {what}. Leave one of them out: the load determines the motion.")
+        if self.follows:
+            self._check_follower(dim)
         lacking = [("mass", "force")] if self.mass is not None and not self.free(dim)[:dim].any() else []
         lacking += [("inertia", "moment")] if self.inertia is not None and not self.twisted else []
         for has, needs in lacking:
@@ -124,6 +130,18 @@ class RigidMotion(Declared):
                     f"{title} has {len(self.schedule)} schedules; give one for all, or {needed}: one for each "
                     f"direction{', then one for the rotation' if self.turns else ''}."
                 )
+
+    def _check_follower(self, dim: int) -> None:
+        """Raise CaseError if there is no load that follows, or if its direction in space has no meaning."""
+        title, pushed = type(self).__name__, self.free(dim)[:dim]
+        if not (self.loaded and self.turns):
+            lacks = "a moment, such as 0, or a turn" if self.loaded else "a force or a moment"
+            raise CaseError(f"{title} follows, and has no {'rotation' if self.loaded else 'load'}. Give {lacks}.")
+        if pushed.any() and not pushed.all():
+            raise CaseError(
+                f"{title} has a force that follows, in some directions only: those of the force turn, and those of "
+                f"move do not. Give a force in every direction, such as 0."
+            )
 
     def _check_inertia(self, dim: int) -> None:
         """Raise CaseError if no body has the declared moments of inertia."""
@@ -176,7 +194,7 @@ class RigidMotion(Declared):
     def load(self, t: float, dim: int) -> Float:
         """Compute force and moment at a load parameter (dim + rotations,) [force], [force length].
 
-        The moment has one component in 2D, three in space, none in 1D.
+        Those that follow are in the axes of the body. The moment has one component in 2D, three in space, none in 1D.
         """
         *factors, factor = self._factors(t)
         found = np.zeros(dim + ROTATIONS[dim])

@@ -224,8 +224,9 @@ class RigidBody:
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return title, load parameter and force (dim,) at the end of the load (not collective)."""
-        return [(self.title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
+        """Return title, load parameter and declared force (dim,) at the end of the load (not collective)."""
+        title = f"{self.title}, in axes that turn with it" if self.declared.follows else self.title
+        return [(title, 1.0, self.declared.load(1.0, self._dim)[: self._dim])]
 
     @property
     def way(self) -> float:
@@ -244,9 +245,35 @@ class RigidBody:
 
     def load(self, t: float) -> Float:
         """Return the loads of the free components about P (n_free,) [force], [force length]."""
+        return np.asarray(self._load_about_point(t)[self._free])
+
+    def load_stiffness(self, t: float) -> Float:
+        """Return the derivative of ``load`` by the motion (n_free, n_free)."""
+        found = np.zeros((6, 6))
+        if self.declared.follows:
+            force, moment = np.split(self._load_about_point(t), 2)
+            found[:3, 3:], found[3:, 3:] = -skew(force), -skew(moment)
+        else:
+            found[3:, 3:] = skew(self._load_in_space(t)[:3]) @ skew(self._pose(t) @ self._arm)
+        return self._of_free(found)
+
+    @property
+    def conservative(self) -> bool:
+        """Return True if the load has an energy: a force of fixed direction, and in a plane any moment."""
+        declared = self.declared
+        follows = declared.follows and declared.twisted and any(declared.force)
+        return not (follows or (self._dim == 3 and np.any(np.ravel(declared.moment))))
+
+    def _load_in_space(self, t: float) -> Float:
+        """Return force and moment (6,) about the point of the load, in the axes of space."""
         found = self._in_space(self.declared.load(t, self._dim))
+        return np.ravel(found.reshape(2, 3) @ self._pose(t).T) if self.declared.follows else found
+
+    def _load_about_point(self, t: float) -> Float:
+        """Return force and moment (6,) about P, in the axes of space."""
+        found = self._load_in_space(t)
         found[3:] += np.cross(self._pose(t) @ self._arm, found[:3])
-        return np.asarray(found[self._free])
+        return found
 
     def _pose(self, t: float) -> Float:
         """Return the rotation (3, 3) at a load parameter of the step."""
@@ -413,18 +440,12 @@ class RigidBody:
             if self.turned_in_step(dt) > MOST_TURN:
                 break
             missed = (self._end(blend, dt)[FORCE] - self._rates[FORCE])[self._free]
-            self.move(np.linalg.solve(self._stiffness(blend, dt), missed))
+            self.move(np.linalg.solve(self.stiffness_in_step(blend, dt), missed))
 
-    def _stiffness(self, blend: Blend, dt: float) -> Float:
+    def stiffness_in_step(self, blend: Blend, dt: float) -> Float:
+        """Return the derivative of the inertia of a generalised-alpha step by the motion (n_free, n_free)."""
         W = self._end(blend, dt)[VELOCITY, 3:]
         return self._of_free(self._mass.stiffness(W, self._turn(), self._R[1], blend, dt))
-
-    def stiffness_in_step(self, blend: Blend, t: float, dt: float) -> Float:
-        """Return the derivative of inertia less load by the motion (n_free, n_free)."""
-        by_load = np.zeros((6, 6))
-        force = self._in_space(self.declared.load(t, self._dim))[:3]
-        by_load[3:, 3:] = skew(force) @ skew(self._pose(t) @ self._arm)
-        return self._stiffness(blend, dt) - self._of_free(by_load)
 
     def local_error(self, blend: Blend, dt: float, longest: float) -> Float:
         """Return three squares times masses (3,) [mass length^2] that judge an implicit step.
@@ -486,7 +507,7 @@ class RigidBody:
         if self.rows is not None and self.declared.twisted:
             rows = self.rows[: len(forces)]
             of_particles = float((forces[rows] * (moved[rows] - self._d[1] + self._d[0])).sum())
-            loads = [self._in_space(self.declared.load(t, self._dim)) for t in self._span]
+            loads = [self._load_in_space(t) for t in self._span]
             load, way = 0.5 * (loads[0] + loads[1]), (self._R[1] - self._R[0]) @ self._arm
             mean[3:] = load[3:]
             of_particles += float(load[:3] @ way) if first else 0.0

@@ -150,7 +150,7 @@ def has_no_modes(case: Case, problem: Problem) -> str:
         return "need an elastic body: in one that has yielded the tangent depends on the direction of the mode"
     if not problem.symmetric:
         return "need a symmetric tangent: no friction, no contact of bodies and no pressure that follows"
-    wrong = next((why for _, rigid in problem.rigid_bodies if (why := has_no_energy(rigid, problem.dim))), "")
+    wrong = next((why for _, rigid in problem.rigid_bodies if (why := has_no_energy(rigid))), "")
     if wrong:
         return wrong
     if not isinstance(case.solver, Newton):
@@ -158,12 +158,12 @@ def has_no_modes(case: Case, problem: Problem) -> str:
     return ""
 
 
-def has_no_energy(rigid: RigidBody, dim: int) -> str:
+def has_no_energy(rigid: RigidBody) -> str:
     """Return the reason if modes do not move a loaded rigid body, else an empty string."""
     if rigid.rows is None:
         return "hold tools where they are, and do not go with one whose motion follows from a load"
-    if dim == 3 and np.any(np.ravel(rigid.declared.moment)):
-        return "need loads with an energy, which a moment of fixed direction in space does not have"
+    if not rigid.conservative:
+        return "need loads with an energy, which a force that follows and a moment in space do not have"
     return ""
 
 

@@ -89,7 +89,7 @@ class CoupledTangent:
         scale: Float | None = None, external: Float | None = None,
     ) -> None:  # fmt: skip
         self._problem, self._sides, self._external = problem, sides, external
-        self._tangent = problem.linearised(state)
+        self._tangent, self._t = problem.linearised(state), state.t
         # The change of the residual with the motions of each tool.
         self._held = [side.columns() for side in sides]
         n = sum(len(held) for held in self._held)
@@ -135,9 +135,11 @@ class CoupledTangent:
             n = int(np.count_nonzero(side.rigid.free[: self._problem.dim]))
             moved = du - np.einsum("k,kpi->pi", part[:n], side.velocities[:n]) - load * side.rigid.driven
             found.append(side.resultants(df) + np.einsum("kpi,pi->k", side.rigid.spun(moved), side.force))
-        change = total(self._problem.body.cloud.comm, np.concatenate(found))
+        bodies = [side.rigid for side in self._sides]
+        by_load = [rigid.load_stiffness(self._t) @ part for rigid, part in zip(bodies, parts, strict=True)]
         if load:
-            change = change - load * np.concatenate([side.rigid.load(1.0) for side in self._sides])
+            by_load = [one + load * rigid.load(1.0) for one, rigid in zip(by_load, bodies, strict=True)]
+        change = total(self._problem.body.cloud.comm, np.concatenate(found)) - np.concatenate(by_load)
         return force, np.asarray(self._scale * change)
 
     @cached_property

@@ -181,13 +181,15 @@ class RigidBodies:
             term.version += 1
         return np.asarray(state.u + np.einsum("k,kpi->pi", step, ways))
 
-    def unstable(self, state: State, answer: Callable[[Float], Float]) -> int:
-        """Return the number of motions along which the loads do more work than the body resists, at an equilibrium.
+    def negative_pivots(self, state: State, answer: Callable[[Float], Float], held: int) -> int | None:
+        """Return the negative pivots of the whole tangent at an equilibrium, from those at held motions.
 
-        With the negative pivots of the tangent at held motions they are the negative pivots of the whole.
+        Further ones are motions along which the loads do more work than the body resists. With loads that have no
+        energy they are those of the symmetric part, which decide nothing unless there are none: None.
         """
         scale = self._scale
-        return negative(self._stiffness(self._sides(state), state, answer)[0] * scale[:, None] * scale)
+        found = held + negative(self._stiffness(self._sides(state), state, answer)[0] * scale[:, None] * scale)
+        return found if not found or all(rigid.conservative for _, rigid in self._bodies) else None
 
     def _sides(self, state: State, linear: bool = True) -> list[Side]:
         """Return ``_side`` of all bodies."""
@@ -248,7 +250,7 @@ class RigidBodies:
         S, ways = CoupledTangent(self._problem, sides, state).responses(answer)
         if self._inertia is not None and state.clock.dt > 0.0:
             blend = self._inertia.blend
-            S += block_diag(*[side.rigid.stiffness_in_step(blend, state.t, state.clock.dt) for side in sides])
+            S += block_diag(*[side.rigid.stiffness_in_step(blend, state.clock.dt) for side in sides])
         return S, ways
 
     def unbalanced(self, state: State, forces: tuple[Float, Float], damping: Float) -> list[tuple[RigidBody, Float]]:

@@ -261,7 +261,9 @@ class SnesSolver(StepSolver):
         elif changes and not several and (asks or self.ends or found > 0):
             sought.factor(state, ksp)
             found = sought.negative_pivots(self.snes, ksp)
-        return found + self._bodies.unstable(state, self._reply) if found is not None and self._bodies else found
+        if found is None or not self._bodies:
+            return found
+        return self._bodies.negative_pivots(state, self._reply, found)
 
     def _answer(self, b: Float) -> Float:
         """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""

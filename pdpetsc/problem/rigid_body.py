@@ -507,10 +507,12 @@ class RigidBody:
         if self.rows is not None and self.declared.twisted:
             rows = self.rows[: len(forces)]
             of_particles = float((forces[rows] * (moved[rows] - self._d[1] + self._d[0])).sum())
-            loads = [self._load_in_space(t) for t in self._span]
-            load, way = 0.5 * (loads[0] + loads[1]), (self._R[1] - self._R[0]) @ self._arm
+            # The moment of a load that turns is constant along a rotation; a dead force acts along the way of its arm.
+            turns = self.declared.follows
+            loads = [self._load_about_point(t) if turns else self._load_in_space(t) for t in self._span]
+            load = 0.5 * (loads[0] + loads[1])
             mean[3:] = load[3:]
-            of_particles += float(load[:3] @ way) if first else 0.0
+            of_particles += float(load[:3] @ (self._R[1] - self._R[0]) @ self._arm) if first and not turns else 0.0
         return of_particles + (float(mean @ self._way) if first else 0.0)
 
     def kinetic(self, dt: float = 0.0) -> float:

@@ -381,11 +381,12 @@ def test_a_path_meets_the_equilibria_of_load_steps(kind, tmp_path):
         assert path.history[axis][-1] == pytest.approx(steps.history[axis][-1], rel=1e-7)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.4])
-def test_the_bordered_tangent_is_the_derivative_of_the_residual(friction, rng):
+@pytest.mark.parametrize(("friction", "follows"), [(0.0, False), (0.4, False), (0.4, True)])
+def test_the_bordered_tangent_is_the_derivative_of_the_residual(friction, follows, rng):
     """Of displacements, load factor and the motions of a region in space that has turned far in its step."""
     nodes = pd.LatticeNodes((0.0, 0.0, 0.0), (2.0, 1.0, 1.0), 0.5)
-    region = pd.RigidRegion("+x", force=(3.0, None, -2.0), moment=(4.0, 1.0, -2.0), about=(2.0, 0.5, 0.5))
+    force = (3.0, 1.0, -2.0) if follows else (3.0, None, -2.0)
+    region = pd.RigidRegion("+x", force=force, moment=(4.0, 1.0, -2.0), about=(2.0, 0.5, 0.5), follows=follows)
     block = pd.RigidPlane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
     weight = pd.BodyForce(pd.region.All(), x=0.3, z=-0.4)
     conditions = [pd.Clamp("-x"), region, pd.Contact("+z", block, friction), weight]
@@ -398,8 +399,10 @@ def test_the_bordered_tangent_is_the_derivative_of_the_residual(friction, rng):
     path._impose(0.0)
     path._equilibrium.begin(np.zeros_like(u))
     path._force = 1.0
-    x = np.concatenate([u.ravel() / path._scales.length, [0.3, 0.1, -0.1, 0.7, 0.4, -0.9]])
-    lengths = slice(len(x) - 5, None)
+    x = np.concatenate(
+        [u.ravel() / path._scales.length, [0.3], [0.1, *([0.2] if follows else []), -0.1, 0.7, 0.4, -0.9]]
+    )
+    lengths = slice(len(x) - 5 - follows, None)
     x[lengths] /= path._scales.length
 
     def residual(values):

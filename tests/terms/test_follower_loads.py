@@ -149,6 +149,13 @@ def test_a_cantilever_under_a_force_across_its_end_is_the_elastica(tmp_path):
     assert found["error"] < 0.005
 
 
+@pytest.mark.parametrize("load", [19, 24])
+def test_vibrations_of_a_column_grow_beyond_the_load_of_beck(load, tmp_path):
+    """The critical load is 20.05 E I / L^2."""
+    found = results("runs/stability/beck.py", f"load={load}", "--check", output=tmp_path)["results"]
+    assert found["growth"] < 1.1 if load < 20 else found["growth"] > 50.0
+
+
 @pytest.mark.parametrize(("follows", "pivots"), [(True, None), (False, 1)])
 def test_a_column_under_a_force_along_its_end_does_not_buckle(follows, pivots, tmp_path):
     """Eight times the load of Euler: no neighbouring equilibrium (Beck 1952), so that nothing is reported unstable."""

@@ -63,19 +63,18 @@ def case(n=4, load=24.0, periods=4):
             "rate": pd.Expected(rate, relative=0.1, source="Beck 1952"),
             "frequency": pd.Expected(frequency, relative=0.03, source="Beck 1952"),
         }
+    force = (-load * STIFFNESS / LENGTH**2, 0.0)
+    ramp = pd.Table((0.0, 1.0 / periods, 1.0), (0.0, 1.0, 1.0))
     return pd.Case(
         particles=pd.LatticeNodes((0.0, -0.5 * HEIGHT), (LENGTH, 0.5 * HEIGHT), HEIGHT / n),
         material=pd.Hencky(E=E, nu=0.0, plane="stress", density=1.0),
         conditions=[
             pd.Clamp("-x"),
-            pd.RigidRegion(
-                "+x", force=(-load * STIFFNESS / LENGTH**2, 0.0), moment=0.0, about=(LENGTH, 0.0), schedule=pd.Table((0.0, 1.0 / periods, 1.0), (0.0, 1.0, 1.0)),
-                follows=True,
-            ),
+            pd.RigidRegion("+x", force=force, moment=0.0, about=(LENGTH, 0.0), schedule=ramp, follows=True),
             pd.InitialVelocity(pd.region.All(), y=lambda x, t: 1e-4 * (x[:, 0] / LENGTH) ** 2 * LENGTH / UNIT),
         ],
         solver=pd.Implicit(dt=dt * UNIT, end=periods * PERIOD * UNIT),
         history={"y": pd.Mean(pd.displacement, "y", "+x"), "error": pd.EnergyError()},
         results=results,
         expect=expect,
-    )  # fmt: skip
+    )

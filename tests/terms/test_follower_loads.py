@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import pdpetsc as pd
 from tests.commands import STOPPING, results, stopped_and_continued
+from tests.commands import history as columns
 from tests.terms.test_rigid_bodies import disc, pressed, strip
 from tests.terms.test_rigid_motion import ALL, J, flying, history_of, solver_of
 
@@ -154,6 +155,7 @@ def test_vibrations_of_a_column_grow_beyond_the_load_of_beck(load, tmp_path):
     """The critical load is 20.05 E I / L^2."""
     found = results("runs/stability/beck.py", f"load={load}", "--check", output=tmp_path)["results"]
     assert found["growth"] < 1.1 if load < 20 else found["growth"] > 50.0
+    assert np.abs(columns(tmp_path)["error"]).max() < 1e-4
 
 
 @pytest.mark.parametrize(("follows", "pivots"), [(True, None), (False, 1)])

@@ -234,9 +234,9 @@ class SnesSolver(StepSolver):
 
         The tangent of the second iteration and of later ones is close to that of the equilibrium. That of the first one
         belongs to the start of the solve. If it matters (``asks_for_stability``, the end of the load, or negative
-        pivots), the tangent of the equilibrium is factored here; not if the body softens, whose tangent there is that
-        of unloading. Iterative solvers indicate at least one negative pivot: conjugate gradients that met negative
-        curvature or gave a step along which the energy rises, and a solve of its own if it matters
+        pivots, of rigid bodies too), the tangent of the equilibrium is factored here; not if the body softens, whose
+        tangent there is that of unloading. Iterative solvers indicate at least one negative pivot: conjugate gradients
+        that met negative curvature or gave a step along which the energy rises, and a solve of its own if it matters
         (``has_negative_eigenvalue``), which is cheap with two levels.
         """
         ksp = self._tangent_solver
@@ -246,24 +246,24 @@ class SnesSolver(StepSolver):
             return None
         if self.meets_curvature and solved and (self._rises or ksp.getConvergedReason() == indefinite):
             return 1
-        sought, problem = self._equilibrium, self.problem
-        found, state = sought.negative_pivots(self.snes, ksp), sought.state(self._read(self._x))
+        sought, problem, asks = self._equilibrium, self.problem, self.asks_for_stability
+        state = sought.state(self._read(self._x))
+
+        def whole(held: int | None) -> int | None:
+            return held if held is None else self._bodies.negative_pivots(state, self._reply, held)
+
         changes = not (problem.linear or problem.softens) and problem.inertia is None
-        asks = self.asks_for_stability
-        if found is None:
-            cheap = self.ends and changes and ksp.getPC().getType() == "mg"
-            if (asks or cheap or self._indefinite) and problem.symmetric and (several or not problem.softens):
-                found = sought.negative_curvature(state, ksp, changes and not several)
-            elif asks and not self._bodies:
-                found = sought.pivots_of_unsymmetric(state, ksp)
-            if found != 0:
-                return found
-        elif changes and not several and (asks or self.ends or found > 0):
-            sought.factor(state, ksp)
-            found = sought.negative_pivots(self.snes, ksp)
-        if found is None or not self._bodies:
+        held = sought.negative_pivots(self.snes, ksp)
+        if held is not None:
+            found = whole(held)
+            if changes and not several and (asks or self.ends or found != 0):
+                sought.factor(state, ksp)
+                found = whole(sought.negative_pivots(self.snes, ksp))
             return found
-        return self._bodies.negative_pivots(state, self._reply, found)
+        cheap = self.ends and changes and ksp.getPC().getType() == "mg"
+        if (asks or cheap or self._indefinite) and problem.symmetric and (several or not problem.softens):
+            return whole(sought.negative_curvature(state, ksp, changes and not several))
+        return sought.pivots_of_unsymmetric(state, ksp) if asks and not self._bodies else None
 
     def _answer(self, b: Float) -> Float:
         """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""

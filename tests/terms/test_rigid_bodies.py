@@ -307,6 +307,17 @@ def test_a_column_under_a_free_end_is_unstable_above_its_load(share, tmp_path):
     assert step["negative_pivots"] == (share > 1.0)
 
 
+def test_a_thin_strip_that_a_moment_rolls_up_is_stable(tmp_path):
+    """Its angle grows in proportion to the moment. The last tangent of a step is from before the region moved."""
+    length, height = 20.0, 0.25
+    moment = 2.0 * np.pi / length * E * height**3 / 12.0
+    nodes = pd.LatticeNodes((0.0, -0.5 * height), (length, 0.5 * height), height / 3)
+    end = pd.RigidRegion("+x", force=(0.0, 0.0), moment=moment, about=(length, 0.0))
+    pd.run(strip(end, nodes, steps=10, material=pd.Hencky(E, 0.0, plane="stress")), tmp_path)
+    steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    assert [step["negative_pivots"] for step in steps] == [0] * 10
+
+
 def test_what_has_no_equilibrium_is_refused(tmp_path):
     with pytest.raises(pd.SolveError, match="touches nothing that carries its load"):
         pd.run(pressed(disc(force=(None, 20.0)), steps=1), tmp_path / "away")

@@ -41,7 +41,7 @@ class RigidSurface(RigidTool):
     parts : (m, dim) array_like of int, optional
         Numbers of the vertices of each segment in 2D, of each triangle in space, in any sense; by default the segments
         from each vertex to the next, and from the last to the first.
-    move, turn, about, force, moment, schedule, mass, inertia, velocity, spin
+    move, turn, about, force, moment, follows, schedule, mass, inertia, velocity, spin
         As for ``RigidTool``.
 
     Raises
@@ -68,7 +68,7 @@ class RigidSurface(RigidTool):
         about: Sequence[float] = (), schedule: Schedule | Sequence[Schedule] | None = None, *,
         force: Sequence[float | None] = (), moment: float | Sequence[float] = (), mass: float | None = None,
         inertia: float | Sequence[float] | Sequence[Sequence[float]] | None = None, velocity: Sequence[float] = (),
-        spin: float | Sequence[float] = (),
+        spin: float | Sequence[float] = (), follows: bool = False,
     ) -> RigidSurface:  # fmt: skip
         """Read a surface of triangles, such as an STL file.
 
@@ -78,7 +78,7 @@ class RigidSurface(RigidTool):
             A file of any format of ``Mesh``, or STL.
         unit : float
             Length of the unit of the file [length].
-        move, turn, about, force, moment, schedule, mass, inertia, velocity, spin
+        move, turn, about, force, moment, follows, schedule, mass, inertia, velocity, spin
             As for ``RigidTool``.
         """
         mesh = read_surface(Path(path))
@@ -88,7 +88,7 @@ class RigidSurface(RigidTool):
         points, parts = unit * np.asarray(mesh.points), np.concatenate(triangles)
         return cls(
             points, parts, move=move, turn=turn, about=about, schedule=schedule or Ramp(), force=force, moment=moment,
-            mass=mass, inertia=inertia, velocity=velocity, spin=spin,
+            mass=mass, inertia=inertia, velocity=velocity, spin=spin, follows=follows,
         )  # fmt: skip
 
     def __post_init__(self) -> None:

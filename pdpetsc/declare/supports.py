@@ -65,7 +65,7 @@ class RigidRegion(RigidMotion, _Support):
     ----------
     region : Region or str
         A side, ``"-x"`` to ``"+z"``, or the name of a set or a region.
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         As for ``RigidMotion``.
     mass, inertia
         Beside those of the particles, at ``about``, as for ``RigidMotion``.
@@ -83,6 +83,7 @@ class RigidRegion(RigidMotion, _Support):
     >>> rolled = pd.RigidRegion("+x", turn=3.0, move=(-2.0, 1.0), about=(10.0, 0.0))
     >>> twisted = pd.RigidRegion("+z", turn=(0.0, 0.0, 1.5), about=(0.0, 0.0, 5.0))
     >>> bent = pd.RigidRegion("+x", force=(0.0, 0.0), moment=2.0, about=(10.0, 0.0))
+    >>> thrust = pd.RigidRegion("+x", force=(-5.0, 0.0), moment=0.0, about=(10.0, 0.0), follows=True)
     """
 
     def beyond(self, lattice: Lattice, horizon: float) -> tuple[Lattice, list[Symmetry]]:

@@ -27,7 +27,7 @@ class RigidTool(RigidMotion, ABC):
 
     Parameters
     ----------
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         Its motion, as for ``RigidMotion``.
     mass, inertia
         Its mass and moments of inertia in a motion, as for ``RigidMotion``; ``about`` is its centre of mass.
@@ -117,7 +117,7 @@ class RigidPlane(RigidTool):
         A point of the plane (dim,) [length].
     normal : sequence of float
         Normal that points out of the tool, towards the body (dim,); its length does not matter.
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         As for ``RigidMotion``.
     mass, inertia, velocity, spin
         As for ``RigidTool``.
@@ -161,7 +161,7 @@ class RigidBox(RigidTool):
         Its opposite corners (dim,) [length].
     radius : float
         Radius of its edges and corners [length]; 0 by default.
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         As for ``RigidMotion``.
     mass, inertia, velocity, spin
         As for ``RigidTool``.
@@ -216,7 +216,7 @@ class RigidSphere(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the ball.
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         As for ``RigidMotion``.
     mass, inertia, velocity, spin
         As for ``RigidTool``.
@@ -255,7 +255,7 @@ class RigidCylinder(RigidTool):
         [length], positive.
     hollow : bool
         If True, the body is inside of the cylinder.
-    move, turn, about, force, moment, schedule
+    move, turn, about, force, moment, follows, schedule
         As for ``RigidMotion``.
     mass, inertia, velocity, spin
         As for ``RigidTool``.

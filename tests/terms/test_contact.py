@@ -680,9 +680,11 @@ def test_a_tool_from_a_file_takes_a_load(tmp_path):
         "move": (0.1, 0.0, 0.0), "about": (1.0, 1.0, 1.0), "force": (None, 0.0, -1.0), "moment": (0.0, 0.0, 0.0),
         "mass": 2.0, "inertia": 3.0, "velocity": (0.0, 0.0, -4.0), "spin": (0.0, 5.0, 0.0), "schedule": pd.Hold(),
     }  # fmt: skip
-    read = pd.RigidSurface.read(path, **given)
-    read.check(3)
-    assert {name: getattr(read, name) for name in given} == given
+    follows = {**given, "move": (), "force": (1.0, 0.0, -1.0), "follows": True}
+    for one in (given, follows):
+        read = pd.RigidSurface.read(path, **one)
+        read.check(3)
+        assert {name: getattr(read, name) for name in one} == one
 
 
 def test_a_cylinder_presses_as_hertz_says(tmp_path):

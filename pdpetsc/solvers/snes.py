@@ -23,9 +23,10 @@ from pdpetsc.solvers.unique import refuse_mechanism
 LOOSE = 1e-3
 # From this number of iterations on the last tangent is that of the equilibrium but for a small part of the step.
 SEVERAL = 2
-# Tolerance of solves for the motion of loose particles, of which this share then stays in a Newton step, and for the
-# response to motions of rigid bodies.
+# Tolerance of solves for the motion of loose particles, of which this share then stays in a Newton step.
 ROUGH = 1e-5
+# Tolerance of solves for the response to motions of rigid bodies. With 1e-5 those of slender strips do not balance.
+RESPONSE = 1e-9
 
 
 class SnesSolver(StepSolver):
@@ -209,7 +210,7 @@ class SnesSolver(StepSolver):
 
     def _reply(self, force: Float) -> Float:
         """Solve the last tangent for forces (n_rows, dim) [force]; return the displacements (n_rows, dim) [length]."""
-        return self._answer(force)[: self._n_u].reshape(force.shape)
+        return self._answer(force, RESPONSE)[: self._n_u].reshape(force.shape)
 
     def _unchanged(self, state: State) -> bool:
         """Let the terms follow an equilibrium; return True if it is one of the changed forces too."""
@@ -265,13 +266,13 @@ class SnesSolver(StepSolver):
             return whole(sought.negative_curvature(state, ksp, changes and not several))
         return sought.pivots_of_unsymmetric(state, ksp) if asks and not self._bodies else None
 
-    def _answer(self, b: Float) -> Float:
-        """Solve the last tangent for forces ``b`` to the tolerance ``ROUGH``; return the unknowns (n,) [length]."""
+    def _answer(self, b: Float, rtol: float = ROUGH) -> Float:
+        """Solve the last tangent for forces ``b`` to a tolerance; return the unknowns (n,) [length]."""
         forces, found = self._r.duplicate(), self._x.duplicate()
         forces.set(0.0)
         forces.array_w[: b.size] = b.ravel() / self._scales.force
         ksp = self.snes.getKSP()
-        with with_solves_to(self.snes, ROUGH):
+        with with_solves_to(self.snes, rtol):
             ksp.solve(forces, found)
         if ksp.getConvergedReason() < 0:
             found.set(0.0)

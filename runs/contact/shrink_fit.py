@@ -1,7 +1,7 @@
 """Shrink fit: a ring grows within another one. Any consistent units.
 
 Rings of radii 1, 1.5 and 2, E = 1e6, nu = 0.3, plane stress; a quarter is computed. The inner ring has the eigenstrain
-``growth`` in all directions, and would grow by ``d = 1.5 growth`` at its outer radius. ``n`` cells across the inner
+``load`` in all directions, and would grow by ``d = 1.5 load`` at its outer radius. ``n`` cells across the inner
 ring, on nodes of quadrilaterals, and twice as many across and around the outer one. Closed form (Lame), with the radii
 a, b, c:
 
@@ -34,9 +34,9 @@ def quarter(inner, outer, n, m):
     return common.of_nodes(points, cells), edge_lengths(points, [cells])
 
 
-def exact(growth):
+def exact(load):
     """Return the pressure between the rings."""
-    return E * B * growth * (B**2 - A**2) * (C**2 - B**2) / (2.0 * B**3 * (C**2 - A**2))
+    return E * B * load * (B**2 - A**2) * (C**2 - B**2) / (2.0 * B**3 * (C**2 - A**2))
 
 
 class Pressure(pd.Quantity):
@@ -51,7 +51,7 @@ class Pressure(pd.Quantity):
         return float(force / whole) if whole > 0.0 else 0.0
 
 
-def case(n=6, growth=1e-2, friction=0.0):
+def case(n=6, friction=0.0, load=1e-2):
     inner, size = quarter(A, B, n, 4 * n)
     outer, size_outside = quarter(B, C, 2 * n, 8 * n)
     return pd.Case(
@@ -61,14 +61,14 @@ def case(n=6, growth=1e-2, friction=0.0):
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=1e-9), x=0.0),
             pd.Displacement(pd.region.Slab("y", high=1e-9), y=0.0),
-            pd.Eigenstrain("inner", xx=growth, yy=growth, zz=growth),
+            pd.Eigenstrain("inner", xx=load, yy=load, zz=load),
             pd.BodyContact("inner", "outer", friction, penetration=1e-4, name="fit"),
         ],
         steps=pd.Steps(4),
         history={"pressure": Pressure()},
         results=lambda h: {
             "pressure": h["pressure"][-1],
-            "pressure_over_exact": h["pressure"][-1] / exact(growth),
+            "pressure_over_exact": h["pressure"][-1] / exact(load),
         },
         expect={"pressure_over_exact": pd.Expected(1.0, relative=0.03, source="Lame")},
         picture=pd.Picture(pd.von_mises, ""),

@@ -3,15 +3,16 @@
 A sinusoidal arch of span 20, rise 0.6 and height 0.5, plane stress, E = 1000, nu = 0, with both ends pinned. A load
 ``q sin(k x)`` per length acts downwards, ``k = pi / 20``. The arch keeps its shape ``a sin(k x)``. With the thrust
 ``N = E A k^2 (a_0^2 - a^2) / 4`` of a shallow arch, ``q = k^2 (N a + E I k^2 (a_0 - a))``: a maximum and a minimum,
-between which the load falls. It is too flat to give way to one side. ``n`` cells over the height.
+between which the load falls. It is too flat to give way to one side. ``n`` cells over the height. The load factor
+of the path multiplies ``load`` times the exact limit.
 
 Results: ``upper``, the largest load over the exact one, ``lower``, the error of the least load, and ``furthest``, that
 of the whole path, both over the largest load.
 
-With ``solver=snap`` the load grows to 1.3 times the exact limit in load steps. At the limit the arch, of density 1,
-snaps through as a motion and rests on the other side; its ends are held at their middle node. Results: ``limit``, the
-load of the last equilibrium before the snap over the exact limit; ``landing``, the rise after the snap over the exact
-one at its load.
+With ``solver=snap`` the load grows to ``load`` times the exact limit in load steps. At the limit the arch, of density
+1, snaps through as a motion and rests on the other side; its ends are held at their middle node. Results: ``limit``,
+the load of the last equilibrium before the snap over the exact limit; ``landing``, the rise after the snap over the
+exact one at its load.
 """
 
 import numpy as np
@@ -49,24 +50,24 @@ def beyond(load):
     return float(roots.real.min())
 
 
-def case(n=8, step=0.02, horizon=2.015, solver="path"):
+def case(n=8, step=0.02, horizon=2.015, solver="path", load=1.3):
     if pd.choose("solver", solver, {"path": False, "snap": True}):
-        return snapping(n, horizon)
-    whole = exact(LIMIT)
+        return snapping(n, horizon, load)
+    whole = load * exact(LIMIT)
 
     def results(h):
-        load, a = whole * np.array(h["t"]), RISE + np.array(h["top"])
+        q, a = whole * np.array(h["t"]), RISE + np.array(h["top"])
         near = np.abs(a) < 1.2 * LIMIT
         return {
-            "upper": load[near & (a > 0.0)].max() / exact(LIMIT),
-            "lower": (load[near & (a < 0.0)].min() - exact(-LIMIT)) / whole,
-            "furthest": np.abs(load - exact(a)).max() / whole,
+            "upper": q[near & (a > 0.0)].max() / exact(LIMIT),
+            "lower": (q[near & (a < 0.0)].min() - exact(-LIMIT)) / exact(LIMIT),
+            "furthest": np.abs(q - exact(a)).max() / exact(LIMIT),
         }
 
     return arch(
         n, horizon, whole,
         conditions=[pd.PointSupport("-x", x=0.0, y=0.0), pd.PointSupport("+x", x=0.0, y=0.0)],
-        solver=pd.PathFollowing(pd.ArcLength(step=step, end=0.9), first=0.05, until=0.0),
+        solver=pd.PathFollowing(pd.ArcLength(step=step, end=0.9), first=0.05 / load, until=0.0),
         results=results,
         expect={
             "upper": pd.Expected(1.0, absolute=0.03, source="shallow arch"),
@@ -91,21 +92,21 @@ def arch(n, horizon, whole, conditions, **of_case):
     )
 
 
-def snapping(n, horizon):
+def snapping(n, horizon, load):
     """Return the arch under a load beyond its limit."""
-    whole = 1.3 * exact(LIMIT)
+    whole = load * exact(LIMIT)
 
     def results(h):
-        load, a = whole * np.array(h["t"]), RISE + np.array(h["top"])
+        q, a = whole * np.array(h["t"]), RISE + np.array(h["top"])
         k = int(np.argmin(np.diff(a))) + 1
-        return {"limit": load[k - 1] / exact(LIMIT), "landing": a[k] / beyond(load[k])}
+        return {"limit": q[k - 1] / exact(LIMIT), "landing": a[k] / beyond(q[k])}
 
     ends = pd.region.Nearest((0.0, 0.0)) | pd.region.Nearest((SPAN, 0.0))
     return arch(
         n, horizon, whole,
         conditions=[pd.Displacement(ends, x=0.0, y=0.0)],
         solver=pd.SnapThrough(dt=2.0, end=5000.0),
-        steps=pd.Steps(13, smallest=0.002),
+        steps=pd.Steps(round(10.0 * load), smallest=0.002),
         results=results,
         expect={
             "limit": pd.Expected(1.0, absolute=0.08, source="shallow arch"),

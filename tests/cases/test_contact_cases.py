@@ -1,14 +1,19 @@
 """Contact against closed forms: Hertz, Lame, Cattaneo and Mindlin, Coulomb, Timoshenko, Hondros, Prandtl, Gc."""
 
 import math
+import sys
 
 import pytest
 
-from tests.commands import results
+import pdpetsc as pd
+from tests.commands import ROOT, results
+
+sys.path.append(str(ROOT / "runs/contact"))
+import brazilian
 
 
-def found(name, *words, output):
-    return results(f"runs/contact/{name}.py", *words, output=output)["results"]
+def found(name, *words, output, ranks=1):
+    return results(f"runs/contact/{name}.py", *words, output=output, ranks=ranks)["results"]
 
 
 @pytest.mark.parametrize(("top", "force"), [("clamped", 721.2), ("sliding", 690.3)])
@@ -96,7 +101,59 @@ def test_the_centre_of_a_disc_has_the_tension_of_the_closed_form(tmp_path):
     assert disc["force_over_johnson"] == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("words", ["lower=4 upper=5", "lower=10 upper=4", "lower=8 upper=10 cloud=cells"])
+def test_a_disc_splits_when_its_centre_reaches_the_strength(tmp_path):
+    """A softening disc carries more than a brittle one. Loads are sampled at load steps."""
+    disc = found("brazilian", "damage=point", "n=12", "steps=24", output=tmp_path)
+    assert disc["tension_over_closed_form"] == pytest.approx(1.0, abs=0.05)
+    assert disc["peak_over_closed_form"] == pytest.approx(1.0, abs=0.05)
+    assert 1.0 < disc["peak_over_elastic"] < 1.06
+    assert disc["centre_over_strength"] == pytest.approx(1.0, abs=0.04)
+    assert disc["path_off_diameter"] < 1e-6
+    assert disc["lowest_over_peak"] < 0.7
+    assert disc["balance"] == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.long
+def test_a_disc_splits_along_the_loaded_diameter_across_the_rows_of_its_cloud(tmp_path):
+    disc = found("brazilian", "damage=point", "n=12", "angle=22.5", output=tmp_path)
+    assert 0.0 < disc["path_off_diameter"] < 0.05
+    assert disc["peak_over_closed_form"] == pytest.approx(1.0, abs=0.05)
+    assert disc["centre_over_strength"] == pytest.approx(1.0, abs=0.05)
+    assert disc["balance"] == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.long
+def test_the_peak_of_a_disc_tends_to_that_of_a_brittle_one(tmp_path):
+    """With ``E Gc / (D strength^2)`` of 1.5, 0.45 and 0.2."""
+    tough, usual, brittle = (
+        found("brazilian", "damage=point", "n=16", *words, output=tmp_path / words[0])["peak_over_elastic"]
+        for words in (("Gc=0.15", "opening=0.02"), ("Gc=0.045",), ("Gc=0.02", "steps=120"))
+    )
+    assert tough > usual + 0.1 and usual > brittle + 0.02
+    assert brittle == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_disc_splits_alike_on_two_ranks_and_in_other_units(tmp_path, monkeypatch):
+    """In m and kN instead of mm and N."""
+    words = {"damage": "point", "n": 8, "steps": 12}
+    one, two = (
+        found("brazilian", *(f"{name}={value}" for name, value in words.items()), ranks=n, output=tmp_path / str(n))
+        for n in (1, 2)
+    )
+    length, force = 1e-3, 1e-3
+    for name in ("E", "MODULUS", "STRENGTH"):
+        monkeypatch.setattr(brazilian, name, getattr(brazilian, name) * force / length**2)
+    for name in ("RADIUS", "HEIGHT"):
+        monkeypatch.setattr(brazilian, name, getattr(brazilian, name) * length)
+    given = brazilian.case(**words, load=0.00465 * length, Gc=0.045 * force / length, opening=0.012 * length)
+    other = pd.run(given, output=tmp_path / "other")
+    for name, value in one.items():
+        assert two[name] == pytest.approx(value, rel=1e-6, abs=1e-9), name
+        unit = force / length if name == "peak_load" else 1.0
+        assert other[name] == pytest.approx(unit * value, rel=1e-6, abs=1e-9), name
+
+
+@pytest.mark.parametrize("words", ["lower=4 upper=5 load=0.02", "lower=10 upper=4", "lower=8 upper=10 cloud=cells"])
 def test_unlike_blocks_pass_the_patch_test(words, tmp_path):
     found_blocks = found("blocks", *words.split(), output=tmp_path)
     assert found_blocks["pressure_error"] < 1e-7 and found_blocks["interface_error"] < 1e-7

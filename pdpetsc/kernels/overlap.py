@@ -167,23 +167,6 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
 
 
 @compiled
-def rates_of_members(of, corners, by, out):
-    """Write ``sum_sc w_esc by_of(e),a,sc`` (n_entries, r, dim) from the weights of members at corners of both facets.
-
-    ``corners`` are (n_entries, n_facets, k), ``by`` (n, r, n_facets * k * dim).
-    """
-    k, rank, dim = corners.shape[2], out.shape[1], out.shape[2]
-    for e in range(of.size):
-        for a in range(rank):
-            for m in range(dim):
-                value = 0.0
-                for s in range(corners.shape[1]):
-                    for c in range(k):
-                        value += corners[e, s, c] * by[of[e], a, (s * k + c) * dim + m]
-                out[e, a, m] = value
-
-
-@compiled
 def _undeformed(y, X, d, point):
     """Compute the undeformed point that is at ``d`` from the mean of the deformed corners of a flat facet."""
     aa, ab, bb, ad, bd = 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0], 0.0 * d[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,13 +12,14 @@ from pdpetsc.declare.body_contact import BodyContact
 from pdpetsc.discrete.communicator import all_largest, anywhere, count_nonzero, largest, smallest
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
-from pdpetsc.gradient.products import FacetProduct, FacetSprings, Product
-from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
+from pdpetsc.gradient.pair_product import FacetPairs, PairProduct
+from pdpetsc.gradient.products import Product
+from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.terms.facet_contact import OVERLAP, ContactProduct, FacetContact, Points
-from pdpetsc.terms.facing import Ends, Pairs, Search, both_ends, corners_of, sides_of
+from pdpetsc.terms.facing import Pairs, Search, corners_of, sides_of
 from pdpetsc.terms.shared_space import bodies_of, shared_point
 
 # Gap up to which facets form a pair, in spacings.
@@ -26,6 +28,25 @@ NEAR = 0.5
 THROUGH = 0.9
 # Thickness of material up to which facets of both parts that face each other through it never touch, in spacings.
 DEEP = 4.0
+
+
+@dataclass(frozen=True)
+class PairPoints(Points):
+    """Store the points of pairs of facets.
+
+    Attributes
+    ----------
+    pairs : FacetPairs
+        The pairs.
+    """
+
+    pairs: FacetPairs
+
+    def moved(self, u: Float) -> Float:
+        return self.pairs.moved(u)
+
+    def spread(self, force: Float, f: Float) -> None:
+        self.pairs.spread(-force, f)
 
 
 class BodyContactForces(FacetContact):
@@ -152,16 +173,14 @@ class BodyContactForces(FacetContact):
         pairs = self._pairs(state)
         return state.kept((self, "points", self._search.version), lambda: self._joined_points(pairs))
 
-    def _joined_points(self, pairs: Pairs) -> Points:
-        ends = self._ends(pairs)
-        stencils = StencilMembers(self._search.one.owner[pairs.rows], ends.ptr, ends.members)
+    def _joined_points(self, pairs: Pairs) -> PairPoints:
         x = self._search.one.x[pairs.rows] + pairs.one
-        return Points(x, pairs.area, self._multiplier(pairs), stencils, ends.weights)
+        return PairPoints(x, pairs.area, self._multiplier(pairs), self._joined(pairs))
 
-    def _ends(self, pairs: Pairs) -> Ends:
-        """Return the particles that both points of pairs move with."""
-        search = self._search
-        return both_ends(search.one.ends(pairs.rows, pairs.one), search.other.ends(pairs.other_rows, pairs.other))
+    def _joined(self, pairs: Pairs) -> FacetPairs:
+        """Return pairs with how their facets move."""
+        sides, at = (self._search.one.moving, self._search.other.moving), np.stack([pairs.one, pairs.other], axis=1)
+        return FacetPairs(sides, (pairs.rows, pairs.other_rows), at)
 
     def _gap(self, state: State) -> tuple[Float, Float]:
         pairs = self._pairs(state)
@@ -180,40 +199,46 @@ class BodyContactForces(FacetContact):
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the derivatives of forces, points and weights."""
         touching, search = self._touching(state), self._search
-        pairs, dim = self._pairs(state).chosen(touching.rows), self.body.dim
-        J = search.by_corners(state.u_local, pairs)
-        by_points = J[:, ONE : ONE + dim], J[:, OTHER : OTHER + dim]
-        # The force of a pair is A t. It depends on the corners, and by slip on the displacements at both points.
+        pairs, n = self._pairs(state).chosen(touching.rows), self.body.cloud.n_owned
+        joined, dim, one = self._joined(pairs), self.body.dim, np.eye(self.body.dim)
+        J = search.rates(state.u_local, pairs)
+        size, flat = len(J), J.reshape(len(J), QUANTITIES, 2 * (1 + dim) * dim)
+        by_points = flat[:, ONE : ONE + dim], flat[:, OTHER : OTHER + dim]
+        # The force of a pair is A t. It depends on the fields, and by slip on the displacements at both points.
         area, t = pairs.area[:, None, None], touching.traction
-        rates = touching.by_normal @ J[:, NORMAL : NORMAL + dim]
+        rates = touching.by_normal @ flat[:, NORMAL : NORMAL + dim]
         if self._mu > 0.0:
             change = state.u_local - self._before
-            slopes, other_slopes = search.one.fields(change)[1], search.other.fields(change)[1]
-            moved = slopes[pairs.rows] @ by_points[0] - other_slopes[pairs.other_rows] @ by_points[1]
-            rates = rates + touching.by_slip @ moved
-        by_corners = np.asarray(area * rates + t[:, :, None] * J[:, AREA, None])
-        ends, owner, n = self._ends(pairs), search.one.owner[pairs.rows], self.body.cloud.n_owned
+            for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, by_points, strict=True):
+                slopes = side.fields(change)[rows, 1:].transpose(0, 2, 1)
+                rates = rates + sign * touching.by_slip @ (slopes @ by)
+        by_force = area * rates + t[:, :, None] * flat[:, AREA, None]
         # The pressure of all pairs of a part depends on their mean gap.
         part, first, number = np.unique(self._multiplier(pairs), return_index=True, return_inverse=True)
         whole = np.bincount(number, pairs.area, len(part))[number]
         off = pairs.gap - self._felt(state)[touching.rows]
-        by_mean = (pairs.area / whole)[:, None] * J[:, GAP] + (off / whole)[:, None] * J[:, AREA]
-        g = ends.rates(np.concatenate([by_corners, *by_points, by_mean[:, None]], axis=1))
-        # The weights depend on the points.
-        force, h = (pairs.area[:, None] * t)[ends.of], np.zeros((len(ends.members), 3 * dim, dim))
-        for axis in range(dim):
-            h[:, axis, axis] = -ends.weights
-            for side in range(2):
-                h[:, (side + 1) * dim + axis] = -ends.G[:, side, axis, None] * force
-        pressed = ends.weights[:, None] * (pairs.area[:, None] * touching.by_pressure)[ends.of]
-        stencils = StencilMembers(owner, ends.ptr, ends.members)
-        parts = StencilMembers(owner[first], ends.ptr[np.append(first, len(owner))], ends.members)
-        found: list[Product] = [
-            FacetProduct(stencils, n, h, np.ascontiguousarray(g[:, :-1])),
-            FacetSprings(parts, n, pressed[:, None], np.ascontiguousarray(self._c * g[:, -1:])),
+        by_mean = (pairs.area / whole)[:, None] * flat[:, GAP] + (off / whole)[:, None] * flat[:, AREA]
+        owner = search.one.owner[pairs.rows]
+        # The points move with the fields, and the forces with the points.
+        G = np.concatenate([by_force, *by_points], axis=1).reshape(size, 3 * dim, 2, 1 + dim, dim)
+        alone, force = np.arange(size + 1), -pairs.area[:, None] * t
+        pressed = (pairs.area[:, None] * touching.by_pressure)[:, None]
+        found = [
+            PairProduct(joined, owner, alone, n, G, np.tile(-one, (size, 1, 1)), force),
+            PairProduct(
+                joined,
+                owner[first],
+                np.append(first, size),
+                n,
+                self._c * by_mean.reshape(size, 1, 2, 1 + dim, dim),
+                pressed,
+                stiff=True,
+            ),
         ]
         if self._mu > 0.0:
-            found.append(ContactProduct(stencils, n, ends.weights, -area * touching.by_slip))
+            at = np.concatenate([np.ones((size, 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
+            G = np.einsum("pim,psc->piscm", -area * touching.by_slip, at)
+            found.append(PairProduct(joined, owner, alone, n, G, np.tile(one, (size, 1, 1)), stiff=True))
         return found
 
     def stiffest(self, state: State) -> Sequence[Product]:

@@ -53,7 +53,7 @@ from pdpetsc.terms.contact import ContactForces
 from pdpetsc.terms.crack_pressure import CrackPressureLoad
 from pdpetsc.terms.dead_loads import DeadLoads
 from pdpetsc.terms.degraded_points import DegradedPoints
-from pdpetsc.terms.facet_contact import STIFFNESS, Points
+from pdpetsc.terms.facet_contact import STIFFNESS, FixedPoints
 from pdpetsc.terms.follower_pressure import PressureOnDeformed
 from pdpetsc.terms.loaded_region import LoadedRegion
 from pdpetsc.terms.particle_contact import ParticleContactForces
@@ -375,7 +375,7 @@ class Applied:
         """Add springs on facets."""
         facets = ChosenFacets(self.body.known_surface, self._facets(condition.region, name))
         self._take_name(condition.name)
-        points = Points.on(facets)
+        points = FixedPoints.on(facets)
         normals = facets.area / points.area[:, None]
         self.following.append(
             FoundationForces(self.body, points, normals, condition.normal, condition.tangential, condition.name)

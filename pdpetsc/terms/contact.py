@@ -21,7 +21,7 @@ from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
-from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, Points
+from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, FixedPoints, Points
 from pdpetsc.terms.shared_space import bodies_of
 
 # Smallest and largest number of places between the ends of a step at which a tool may not lie within the body; they are
@@ -96,7 +96,7 @@ class ContactForces(FacetContact):
         self.rigid = self._moving if declared.tool.loaded else None
         self.works = self._mu > 0.0 or not declared.tool.rests
         self.tool_way = None if declared.tool.rests or declared.tool.loaded else self._moving.driven
-        self._x, self._at = facets.x, Points.on(facets)
+        self._x, self._at = facets.x, FixedPoints.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
         # The gap last evaluated, the particles that the facets move with, and the most that a facet moves with these.

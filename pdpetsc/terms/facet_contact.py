@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,8 @@ class ContactProduct(FacetSprings):
         super().__init__(facets, n_owned, h, N[:, None, None] * np.eye(blocks.shape[1]))
 
 
-class Points(NamedTuple):
+@dataclass(frozen=True)
+class Points(ABC):
     """Store points of contact on the facets of this rank.
 
     Attributes
@@ -94,31 +96,53 @@ class Points(NamedTuple):
         Area that each stands for [area].
     of : (n_points,) int64
         Number of the multiplier of each, ascending.
+    """
+
+    x: Float
+    area: Float
+    of: GlobalIndex
+
+    @abstractmethod
+    def moved(self, u: Float) -> Float:
+        """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
+
+    @abstractmethod
+    def spread(self, force: Float, f: Float) -> None:
+        """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
+
+    def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:
+        """Compute the mean of values of points (n_points,) for each of n multipliers, 0 where there is no point."""
+        weight = self.area * counted
+        sums, whole = (np.bincount(self.of, of, n) for of in (weight * values, weight))
+        return np.asarray(sums / np.where(whole > 0.0, whole, 1.0))
+
+
+@dataclass(frozen=True)
+class FixedPoints(Points):
+    """Store points that the same particles move in every state.
+
+    Attributes
+    ----------
     stencils : StencilMembers
         Particles of which the relative displacement of each point is composed.
     weights : (n_entries,) float64
         Their weights [-].
     """
 
-    x: Float
-    area: Float
-    of: GlobalIndex
     stencils: StencilMembers
     weights: Float
 
     @classmethod
-    def on(cls, facets: ChosenFacets) -> Points:
+    def on(cls, facets: ChosenFacets) -> FixedPoints:
         """Return the middles of facets, each with its own multiplier."""
         area = np.linalg.norm(facets.area, axis=1)
         return cls(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
 
     def moved(self, u: Float) -> Float:
-        """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
         at = self.weights[:, None] * u[self.stencils.members]
         return np.asarray(sum_by(row_of_entries(self.stencils.point_ptr), at, len(self.area)))
 
     def spread(self, force: Float, f: Float) -> None:
-        """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
         of = row_of_entries(self.stencils.point_ptr)
         np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
 
@@ -127,12 +151,6 @@ class Points(NamedTuple):
         shape = len(self.area), n
         w = scipy.sparse.csr_matrix((self.weights, self.stencils.members, self.stencils.point_ptr), shape=shape)
         return scipy.sparse.csr_matrix(w.T @ scipy.sparse.diags(each * self.area) @ w)
-
-    def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:
-        """Compute the mean of values of points (n_points,) for each of n multipliers, 0 where there is no point."""
-        weight = self.area * counted
-        sums, whole = (np.bincount(self.of, of, n) for of in (weight * values, weight))
-        return np.asarray(sums / np.where(whole > 0.0, whole, 1.0))
 
     def product(self, n_owned: int, rows: GlobalIndex, stiffness: Float) -> ContactProduct:
         """Return the tangent of some points with blocks (m, dim, dim) [stress / length]."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -14,18 +13,9 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, anywhere, exchange, largest, near_ranks
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.overlap import (
-    AREA,
-    GAP,
-    NORMAL,
-    ONE,
-    OTHER,
-    QUANTITIES,
-    overlap,
-    overlap_by_corners,
-    rates_of_members,
-)
-from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.gradient.pair_product import MovingFacets
+from pdpetsc.kernels.facet_pairs import by_fields
+from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES, overlap, overlap_by_corners
 from pdpetsc.problem.body import Body
 
 # Facets face each other if the cosine of the angle between one normal and minus the other exceeds this.
@@ -114,85 +104,17 @@ class Side:
             left, kind = left[~alike], kind + 1
         return np.asarray(np.unique(self.owner.astype(np.int64) * max(kind, 1) + number, return_inverse=True)[1])
 
-    def fields(self, u: Float) -> tuple[Float, Float]:
-        """Compute displacements (n, dim) and displacement gradients (n, dim, dim) of the facets.
-
-        ``u`` (n_local, dim) are those of local particles.
-        """
-        n, of, at = len(self.x), row_of_entries(self.ptr), u[self.members]
-        return sum_by(of, self.N[:, None] * at, n), sum_by(of, at[:, :, None] * self.G[:, None, :], n)
+    @cached_property
+    def moving(self) -> MovingFacets:
+        """Return how the facets move with the particles."""
+        return MovingFacets(self.ptr, self.members, np.concatenate([self.N[:, None], self.G], axis=1))
 
     def deformed(self, u: Float) -> Float:
         """Compute the deformed corners (n, 4, 3) [length]."""
         dim, y = self.x.shape[1], self.corners.copy()
-        moved, gradient = self.fields(u)
-        y[:, :, :dim] += moved[:, None] + np.einsum("fik,fck->fci", gradient, self.offsets[:, :, :dim])
+        q = self.moving.fields(u)
+        y[:, :, :dim] += q[:, None, 0] + self.offsets[:, :, :dim] @ q[:, 1:]
         return y
-
-    def ends(self, rows: GlobalIndex, points: Float) -> Ends:
-        """Return the particles that points (n, dim), relative to the centroids, on facets ``rows`` (n,) move with."""
-        dim = self.x.shape[1]
-        entry, ptr = entries_of(self.ptr, rows)
-        of = row_of_entries(ptr)
-        N, G = self.N[entry], self.G[entry]
-        offsets = self.offsets[rows][:, : _CORNERS[dim], :dim]
-        corners = N[:, None] + np.einsum("ej,ecj->ec", G, offsets[of])
-        weights = N + (G * points[of]).sum(axis=1)
-        return Ends(ptr, self.members[entry], of, weights, G[:, None], corners[:, None])
-
-
-class Ends(NamedTuple):
-    """Store the particles with which points on facets, or the points of pairs on both facets, move.
-
-    Attributes
-    ----------
-    ptr : (n + 1,) int64
-        Start of the particles of each point or pair.
-    members, of : (n_entries,) int
-        Local particles, and the point or pair of each.
-    weights : (n_entries,) float64
-        Weights of their displacements at the point, negative for the point on the other facet of a pair [-].
-    G : (n_entries, n_facets, dim) float64
-        Derivatives of the weights by the point on each facet [1 / length].
-    corners : (n_entries, n_facets, k) float64
-        Weights of their displacements at the corners of each facet [-].
-    """
-
-    ptr: GlobalIndex
-    members: LocalIndex
-    of: GlobalIndex
-    weights: Float
-    G: Float
-    corners: Float
-
-    def rates(self, by_corners: Float) -> Float:
-        """Return derivatives by the displacements of the particles (n_entries, r, dim) from those by all corners.
-
-        ``by_corners`` are (n, r, n_corners * dim) for r quantities of each pair.
-        """
-        found = np.empty((len(self.of), by_corners.shape[1], self.G.shape[2]))
-        rates_of_members(self.of, self.corners, np.ascontiguousarray(by_corners), found)
-        return found
-
-
-def both_ends(one: Ends, other: Ends) -> Ends:
-    """Return the particles of the points of pairs, from those of the points on both facets."""
-    order = np.argsort(np.concatenate([one.of, other.of]), kind="stable")
-
-    def joined(values: Float, others: Float) -> Float:
-        return np.concatenate([values, others])[order]
-
-    def beside(values: Float, others: Float) -> Float:
-        return joined(
-            np.concatenate([values, np.zeros_like(values)], axis=1),
-            np.concatenate([np.zeros_like(others), others], axis=1),
-        )
-
-    return Ends(
-        one.ptr + other.ptr, np.concatenate([one.members, other.members])[order],
-        np.concatenate([one.of, other.of])[order], joined(one.weights, -other.weights), beside(one.G, -other.G),
-        beside(one.corners, other.corners),
-    )  # fmt: skip
 
 
 # Corners of a facet whose displacements differ.
@@ -226,6 +148,23 @@ class Pairs:
     def chosen(self, mask: Mask | GlobalIndex) -> Pairs:
         """Return some of the pairs."""
         return Pairs(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
+
+
+def both_ends(one: Side, other: Side, pairs: Pairs) -> tuple[GlobalIndex, LocalIndex, Float]:
+    """Return the particles that both points of pairs move with, those of the one first.
+
+    These are their start (n_pairs + 1,), the particles (n_entries,), and their weights (n_entries,), negative for the
+    point on the other facet [-].
+    """
+    found = []
+    for sign, side, rows, points in ((1.0, one, pairs.rows, pairs.one), (-1.0, other, pairs.other_rows, pairs.other)):
+        entry, ptr = entries_of(side.ptr, rows)
+        of = row_of_entries(ptr)
+        found.append((ptr, of, side.members[entry], sign * (side.N[entry] + (side.G[entry] * points[of]).sum(axis=1))))
+    (ptr, of, members, weights), (other_ptr, other_of, other_members, other_weights) = found
+    order = np.argsort(np.concatenate([of, other_of]), kind="stable")
+    members, weights = np.concatenate([members, other_members]), np.concatenate([weights, other_weights])
+    return ptr + other_ptr, members[order], weights[order]
 
 
 def sides_of(
@@ -423,13 +362,13 @@ class Search:
         y = self._deformed(u)
         return self._overlapping(y, *self._within(y, slack))
 
-    def by_corners(self, u: Float, pairs: Pairs) -> Float:
-        """Compute the derivatives of area, gap, normal and both points of pairs by their corners (not collective).
+    def rates(self, u: Float, pairs: Pairs) -> Float:
+        """Compute the derivatives of area, gap, normal and both points of pairs by their fields (not collective).
 
         Returns
         -------
-        (n_pairs, 11, 2 k dim) float64
-            As of ``overlap_by_corners``.
+        (n_pairs, 11, 2, 1 + dim, dim) float64
+            By displacement and gradient of both facets, as of ``MovingFacets.fields``.
         """
         dim = self._cloud.dim
         J = np.empty((len(pairs.rows), QUANTITIES, 2 * _CORNERS[dim] * dim))
@@ -437,7 +376,9 @@ class Search:
             *self._deformed(u), self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, dim, J
         )
         J[:, AREA] *= self.one.depth
-        return J
+        found = np.empty((len(J), QUANTITIES, 2, 1 + dim, dim))
+        by_fields(J, self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, found)
+        return found
 
     def _deformed(self, u: Float) -> tuple[Float, Float]:
         """Return the deformed corners of both sides [length]."""

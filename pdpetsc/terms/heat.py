@@ -25,7 +25,7 @@ from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.chosen_facets import ChosenFacets
 from pdpetsc.terms.conditions import Applied
 from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
-from pdpetsc.terms.facet_contact import STIFFNESS, Points
+from pdpetsc.terms.facet_contact import STIFFNESS, FixedPoints
 from pdpetsc.terms.tied import TIED, TiedForces
 
 # A family with less than this share of its largest second moment in a direction has no slope there.
@@ -320,7 +320,7 @@ class Heat(Term):
         K = scipy.sparse.csr_matrix((n, n))
         for condition, mask in self._entering:
             if isinstance(condition, Convection):
-                facets = Points.on(ChosenFacets(self.body.known_surface, mask))
+                facets = FixedPoints.on(ChosenFacets(self.body.known_surface, mask))
                 K = K + facets.resistance(condition.coefficient, n)
         return K
 

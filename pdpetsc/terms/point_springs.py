@@ -11,7 +11,7 @@ from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
-from pdpetsc.terms.facet_contact import Points
+from pdpetsc.terms.facet_contact import FixedPoints
 
 # Facets of a curved side resist sliding by the angles between them, which tells nothing of the side itself: directions
 # held by less than this share of the stiffness are free.
@@ -25,7 +25,7 @@ class PointSprings(Term):
     ----------
     body : Body
         Particles with their surface.
-    points : Points
+    points : FixedPoints
         The points.
     stiffness : (n_points, dim, dim) float64
         Symmetric ``C_p`` [stress / length].
@@ -40,7 +40,7 @@ class PointSprings(Term):
     stiff = True
     horizons = 2
 
-    def __init__(self, body: Body, points: Points, stiffness: Float, name: str) -> None:
+    def __init__(self, body: Body, points: FixedPoints, stiffness: Float, name: str) -> None:
         self.body, self._points, self._stiffness, self._name = body, points, stiffness, name
 
     @property
@@ -86,7 +86,7 @@ class FoundationForces(PointSprings):
     ----------
     body : Body
         Particles with their surface.
-    points : Points
+    points : FixedPoints
         The facets.
     normals : (n_points, dim) float64
         Their unit normals in the undeformed body [-].
@@ -99,7 +99,7 @@ class FoundationForces(PointSprings):
     energy_of = "foundation"
 
     def __init__(
-        self, body: Body, points: Points, normals: Float, normal: float, tangential: float, name: str
+        self, body: Body, points: FixedPoints, normals: Float, normal: float, tangential: float, name: str
     ) -> None:  # fmt: skip
         along = normals[:, :, None] * normals[:, None, :]
         across = np.eye(body.dim) - along

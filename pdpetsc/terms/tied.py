@@ -10,7 +10,7 @@ from pdpetsc.discrete.communicator import anywhere
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.problem.body import Body
-from pdpetsc.terms.facet_contact import Points
+from pdpetsc.terms.facet_contact import FixedPoints
 from pdpetsc.terms.facing import Search, both_ends, corners_of, sides_of
 from pdpetsc.terms.point_springs import PointSprings
 
@@ -34,7 +34,7 @@ class TiedForces(PointSprings):
 
     Attributes
     ----------
-    points : Points
+    points : FixedPoints
         The middles of the overlaps.
     spacing : float
         The coarser spacing [length].
@@ -58,15 +58,15 @@ class TiedForces(PointSprings):
         pairs = pairs.chosen(np.abs(pairs.gap) <= declared.gap * spacing)
         if not anywhere(cloud.comm, len(pairs.rows)):
             raise CaseError(f"No facets of {name} overlap within a gap of {declared.gap:g} spacings; raise the gap.")
-        ends = both_ends(mine.ends(pairs.rows, pairs.one), theirs.ends(pairs.other_rows, pairs.other))
-        stencils = StencilMembers(mine.owner[pairs.rows], ends.ptr, ends.members)
+        ptr, members, weights = both_ends(mine, theirs, pairs)
+        stencils = StencilMembers(mine.owner[pairs.rows], ptr, members)
         body.overlap.couple(stencils.owner)
         x = mine.x[pairs.rows] + pairs.one
-        points = Points(x, pairs.area, np.arange(len(pairs.rows)), stencils, ends.weights)
+        points = FixedPoints(x, pairs.area, np.arange(len(pairs.rows)), stencils, weights)
         super().__init__(body, points, np.tile(stiffness * np.eye(body.dim), (len(pairs.rows), 1, 1)), declared.name)
         self.points, self.spacing = points, spacing
         # An own particle at both ends of each pair.
-        self.joined = np.stack([ends.members[ends.ptr[:-1]], ends.members[ends.ptr[1:] - 1]], axis=1)
+        self.joined = np.stack([members[ptr[:-1]], members[ptr[1:] - 1]], axis=1)
 
     # Pairs are of particles without a common family.
     within_families = False

@@ -10,7 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import Entries, FacetSprings, Product
-from pdpetsc.kernels.facet_pairs import carry_all, facet_blocks, members_of_groups, push, spread, times
+from pdpetsc.kernels.facet_pairs import carry_all, facet_blocks, members_of_groups, pair_times_kernel, push, spread
 from pdpetsc.kernels.facet_pairs import vectors_of_members as write_vectors
 
 
@@ -121,7 +121,8 @@ class PairProduct(Product):
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the groups of the particles."""
         one, other = self._pairs.sides
-        times(particles, self._first, self._start, *self._pairs.rows, *self._vectors, *one.arrays, *other.arrays, du, f)
+        times, rows = pair_times_kernel(du.shape[1]), self._pairs.rows
+        times(particles, self._first, self._start, *rows, *self._vectors, *one.arrays, *other.arrays, du, f)
 
     @cached_property
     def listed(self) -> FacetSprings:

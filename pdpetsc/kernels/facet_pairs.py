@@ -6,6 +6,10 @@ of a pair feels the opposite force, so that its forces are subtracted.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
@@ -79,60 +83,70 @@ def by_fields(J, X, other_X, one, other, found):
                         found[p, r, side, c, m] = value
 
 
-@compiled
-def times(
-    particles, first, start, one, other, by, to, at, force, ptr, members, weights, other_ptr, other_members,
-    other_weights, u, f,
-):  # fmt: skip
-    """Add the forces of groups of pairs, ``first[i]`` to ``first[i + 1]`` of each of the own particles ``i``.
+@lru_cache
+def pair_times_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``times``, which adds the forces of groups of pairs: see ``PairProduct``.
 
-    See ``PairProduct``; the pairs of group ``s`` are ``start[s]`` to ``start[s + 1]``.
+    Own particle ``i`` has the groups ``first[i]`` to ``first[i + 1]``, and group ``s`` the pairs ``start[s]`` to
+    ``start[s + 1]``; only those of ``particles`` are added.
     """
-    some = False
-    for n in range(particles.size):
-        some = some or first[particles[n]] < first[particles[n] + 1]
-    if not some:
-        return
-    dim, r, n_to = u.shape[1], by.shape[1], to.shape[1]
-    q, g = np.empty((ptr.size - 1, 1 + dim, dim)), np.zeros((ptr.size - 1, 1 + dim, dim))
-    other_q, other_g = np.empty((other_ptr.size - 1, 1 + dim, dim)), np.zeros((other_ptr.size - 1, 1 + dim, dim))
-    used, other_used = np.zeros(ptr.size - 1, np.bool_), np.zeros(other_ptr.size - 1, np.bool_)
-    rate = np.empty(r)
-    for n in range(particles.size):
-        for s in range(first[particles[n]], first[particles[n] + 1]):
-            rate[:] = 0.0
-            for p in range(start[s], start[s + 1]):
-                a, b = one[p], other[p]
-                if not used[a]:
-                    used[a] = True
-                    carry(ptr, members, weights, u, a, q[a])
-                if not other_used[b]:
-                    other_used[b] = True
-                    carry(other_ptr, other_members, other_weights, u, b, other_q[b])
-                for i in range(r):
-                    value = 0.0
-                    for c in range(1 + dim):
-                        for m in range(dim):
-                            value += by[p, i, 0, c, m] * q[a, c, m] + by[p, i, 1, c, m] * other_q[b, c, m]
-                    rate[i] += value
-            for p in range(start[s], start[s + 1]):
-                a, b = one[p], other[p]
-                for m in range(dim):
-                    value = 0.0
-                    for i in range(n_to):
-                        value += to[p, i, m] * rate[i]
-                    g[a, 0, m] += value
-                    other_g[b, 0, m] -= value
-                    for j in range(dim):
-                        g[a, 1 + j, m] += at[p, 0, j] * value
-                        other_g[b, 1 + j, m] -= at[p, 1, j] * value
-                if r > n_to:
-                    for j in range(dim):
-                        for m in range(dim):
-                            g[a, 1 + j, m] += rate[n_to + j] * force[p, m]
-                            other_g[b, 1 + j, m] -= rate[n_to + dim + j] * force[p, m]
-    spread(ptr, members, weights, used, g, f)
-    spread(other_ptr, other_members, other_weights, other_used, other_g, f)
+    size = 1 + dim
+
+    @compiled
+    def times(
+        particles, first, start, one, other, by, to, at, force, ptr, members, weights, other_ptr, other_members,
+        other_weights, u, f,
+    ):  # fmt: skip
+        some = False
+        for n in range(particles.size):
+            some = some or first[particles[n]] < first[particles[n] + 1]
+        if not some:
+            return
+        r, n_to = by.shape[1], to.shape[1]
+        q, other_q = np.empty((ptr.size - 1, size, dim)), np.empty((other_ptr.size - 1, size, dim))
+        g, other_g = np.zeros((ptr.size - 1, size, dim)), np.zeros((other_ptr.size - 1, size, dim))
+        used, other_used = np.zeros(ptr.size - 1, np.bool_), np.zeros(other_ptr.size - 1, np.bool_)
+        rate = np.empty(r)
+        for n in range(particles.size):
+            for s in range(first[particles[n]], first[particles[n] + 1]):
+                rate[:] = 0.0
+                for p in range(start[s], start[s + 1]):
+                    a, b = one[p], other[p]
+                    if not used[a]:
+                        used[a] = True
+                        carry(ptr, members, weights, u, a, q[a])
+                    if not other_used[b]:
+                        other_used[b] = True
+                        carry(other_ptr, other_members, other_weights, u, b, other_q[b])
+                    for i in range(r):
+                        value = 0.0
+                        for c in range(size):
+                            for m in range(dim):
+                                value += by[p, i, 0, c, m] * q[a, c, m]
+                        for c in range(size):
+                            for m in range(dim):
+                                value += by[p, i, 1, c, m] * other_q[b, c, m]
+                        rate[i] += value
+                for p in range(start[s], start[s + 1]):
+                    a, b = one[p], other[p]
+                    for m in range(dim):
+                        value = 0.0
+                        for i in range(n_to):
+                            value += to[p, i, m] * rate[i]
+                        g[a, 0, m] += value
+                        other_g[b, 0, m] -= value
+                        for j in range(dim):
+                            g[a, 1 + j, m] += at[p, 0, j] * value
+                            other_g[b, 1 + j, m] -= at[p, 1, j] * value
+                    if r > n_to:
+                        for j in range(dim):
+                            for m in range(dim):
+                                g[a, 1 + j, m] += rate[n_to + j] * force[p, m]
+                                other_g[b, 1 + j, m] -= rate[n_to + dim + j] * force[p, m]
+        spread(ptr, members, weights, used, g, f)
+        spread(other_ptr, other_members, other_weights, other_used, other_g, f)
+
+    return times
 
 
 @compiled

@@ -11,6 +11,8 @@ MOST = 8
 # Edges and areas below this share of those of a facet are none. Corners this near to an edge are on it: round-off would
 # place edges that coincide on either side, with a derivative without bound.
 NONE = 1e-9
+# Square of the distance across the normal, over that at which facets cannot overlap, which allows for round-off.
+BESIDE = 1.000001
 # Step of complex differences over the size of a facet: its square vanishes beside 1.
 STEP = 1e-30
 # Quantities of a pair: area, gap, normal (3), and the point on both facets (3 each).
@@ -32,16 +34,18 @@ def overlap(y, other_y, X, other_X, one, other, facing, q):
     facing : float
         Pairs overlap only if the cosine of the angle between the normal of one and minus that of the other exceeds it.
     q : (n_pairs, 11) float64
-        Quantities of each pair, written here. First the area of the overlap across the mean normal, 0 if there is none.
+        Quantities of each pair, written here; zeros at first. First the area of the overlap across the mean normal, 0 if there is none.
         Then the distance of the facets along that normal at the middle of the overlap, negative if they have passed
         through each other. Then the mean normal, from the other facet to the one. Last the undeformed points of both
         facets that are at the middle, relative to their centroids.
     """
     p, r, edge = np.empty((MOST + 1, 2)), np.empty((MOST + 1, 2)), np.empty((4, 2))
     v = np.empty((6, 3))
+    middle, other_middle = _middles(y), _middles(other_y)
     for s in range(one.size):
         a, b = one[s], other[s]
-        _pair(y[a], other_y[b], X[a], other_X[b], facing, p, r, edge, v, q[s])
+        if not _beside(middle[a], other_middle[b]):
+            _pair(y[a], other_y[b], X[a], other_X[b], facing, p, r, edge, v, q[s])
 
 
 @compiled
@@ -76,6 +80,35 @@ def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):
                     column = (side * k + c) * dim + i
                     for number in range(QUANTITIES):
                         J[s, number, column] = q[number].imag / step
+
+
+@compiled
+def _middles(y):
+    """Return the middles of facets, their unit normals, and the largest distance of a corner from them (n, 7)."""
+    found = np.empty((y.shape[0], 7))
+    for a in range(y.shape[0]):
+        _plane(y[a], found[a, :3], found[a, 3:6])
+        size = 0.0
+        for c in range(4):
+            away = 0.0
+            for m in range(3):
+                away += (y[a, c, m] - found[a, m]) ** 2
+            size = max(size, away)
+        found[a, 6] = np.sqrt(size)
+    return found
+
+
+@compiled
+def _beside(one, other):
+    """Return True if two facets are too far apart across the mean of their normals to overlap."""
+    size, along, far = 0.0, 0.0, 0.0
+    for m in range(3):
+        n, d = other[3 + m] - one[3 + m], other[m] - one[m]
+        size += n * n
+        along += n * d
+        far += d * d
+    reach = one[6] + other[6]
+    return (far - BESIDE * reach * reach) * size > along * along
 
 
 @compiled

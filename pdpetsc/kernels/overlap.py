@@ -34,10 +34,10 @@ def overlap(y, other_y, X, other_X, one, other, facing, q):
     facing : float
         Pairs overlap only if the cosine of the angle between the normal of one and minus that of the other exceeds it.
     q : (n_pairs, 11) float64
-        Quantities of each pair, written here; zeros at first. First the area of the overlap across the mean normal, 0 if there is none.
-        Then the distance of the facets along that normal at the middle of the overlap, negative if they have passed
-        through each other. Then the mean normal, from the other facet to the one. Last the undeformed points of both
-        facets that are at the middle, relative to their centroids.
+        Quantities of each pair, written here; zeros at first. First the area of the overlap across the mean normal, 0
+        if there is none. Then the distance of the facets along that normal at the middle of the overlap, negative if
+        they have passed through each other. Then the mean normal, from the other facet to the one. Last the undeformed
+        points of both facets that are at the middle, relative to their centroids.
     """
     p, r, edge = np.empty((MOST + 1, 2)), np.empty((MOST + 1, 2)), np.empty((4, 2))
     v = np.empty((6, 3))

@@ -21,7 +21,7 @@ from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
-from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, FixedPoints, Points
+from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, FixedPoints
 from pdpetsc.terms.shared_space import bodies_of
 
 # Smallest and largest number of places between the ends of a step at which a tool may not lie within the body; they are
@@ -35,35 +35,37 @@ TURN = 0.5
 SHALLOW, WIDE, PER_SIDE, BESIDE, FLAT = 0.5, 4.0, 8, 1.25, 0.25
 # Gap over the spacing above which a facet has no force, with the rounding of the motion.
 CLEAR = 1e-6
+# Share of the facets that may be in contact from which the gaps of all are computed.
+MOST_NEAR = 0.25
 
 
 class Seen(NamedTuple):
-    """Store the smallest gap of the facets of this rank at a state.
+    """Store the gaps of the facets of this rank at a state.
 
     Attributes
     ----------
-    u : (n, dim) float64
-        Displacements of the particles that the facets move with [length].
+    moved : (n_facets, dim) float64
+        Displacements of the facets [length].
     R, d : (dim, dim), (dim,) float64
         Rotation and displacement of the tool [-], [length].
-    arm : float
-        Largest distance of a facet from the point about which the tool turns [length].
-    gap : float
-        Smallest gap [length].
+    arm : (n_facets,) float64
+        Distances of the facets from the point about which the tool turns [length].
+    gap : (n_facets,) float64
+        [length].
     """
 
-    u: Float
+    moved: Float
     R: Float
     d: Float
-    arm: float
-    gap: float
+    arm: Float
+    gap: Float
 
 
 class ContactForces(FacetContact):
     """Compute the forces of a rigid tool on the facets of a surface.
 
-    The points are the facets at ``x_f + sum_k N_f(x_k) u_k``. Gap, slip and tractions are those seen from the tool, and
-    turned with it.
+    The points are facets at ``x_f + sum_k N_f(x_k) u_k``: those that may be in contact, since they have moved by more
+    than their gap at an earlier state. Gap, slip and tractions are those seen from the tool, and turned with it.
 
     Parameters
     ----------
@@ -99,12 +101,9 @@ class ContactForces(FacetContact):
         self._x, self._at = facets.x, FixedPoints.on(facets)
         # Displacements as seen from the tool at the start of this step, and at its end after it has converged.
         self._slid, self._slid_end = np.zeros_like(self._x), np.zeros_like(self._x)
-        # The gap last evaluated, the particles that the facets move with, and the most that a facet moves with these.
-        self._particles = np.unique(facets.stencils.members)
-        self._most = float(facets.sums(np.abs(facets.N)).max(initial=0.0))
-        self._last = Seen(
-            np.zeros((len(self._particles), body.dim)), np.eye(body.dim), np.zeros(body.dim), 0.0, -np.inf
-        )
+        # The gaps of all facets that were computed last.
+        nothing = np.zeros(len(self._x))
+        self._last = Seen(np.zeros_like(self._x), np.eye(body.dim), np.zeros(body.dim), nothing, nothing - np.inf)
         rest = State(body, np.zeros((body.cloud.n_rows, body.dim)))
         bodies = bodies_of(body, mask)
         depths = self._depth_at_particles(bodies, facets.area), self._depth_between_facets(rest, facets.area)
@@ -151,7 +150,7 @@ class ContactForces(FacetContact):
         spacing, normal = nearest_distances(self.body)[at.owner[of]], (area / self._at.area[:, None])[of]
         step = x[at.members] - x[at.owner[of]]
         size, off = np.linalg.norm(step, axis=1), (step * normal).sum(axis=1)
-        near = self._gap(rest)[0][of] < spacing
+        near = self._all(rest)[0][of] < spacing
         beside = near & (size > 0.0) & (size < BESIDE * spacing) & (np.abs(off) < FLAT * size)
         step = (step - off[:, None] * normal)[beside]
         shares = np.arange(1, PER_SIDE + 1) / (2 * PER_SIDE)
@@ -175,59 +174,80 @@ class ContactForces(FacetContact):
         depth[into[deep]] = -g[into[deep]]
         return depth
 
-    def _points(self, state: State) -> Points:
-        return self._at
+    def _points(self, state: State) -> FixedPoints:
+        rows = self._near(state)[0]
+        return state.kept((self, "points", self.version), lambda: self._at.chosen(rows))
+
+    def _moved(self, state: State) -> Float:
+        """Compute the displacements of the facets (n_facets, dim) [length] (collective)."""
+        u = state.u_local
+        return state.kept((self, "moved"), lambda: self._at.moved(u))
 
     def _seen(self, state: State) -> tuple[Float, Float]:
         """Compute the displacements of the facets as seen from the tool, and its rotation (collective)."""
-        u = state.u_local
+        moved = self._moved(state)
+        return state.kept((self, "seen"), lambda: self._moving.relative(self._x, moved, state.t))
 
-        def make() -> tuple[Float, Float]:
-            return self._moving.relative(self._x, self._at.moved(u), state.t)
-
-        return state.kept((self, "seen"), make)
-
-    def _distance(self, state: State) -> tuple[Float, Float, Float]:
-        """Compute gap, normal and curvature of the facets as seen from the tool (collective)."""
-        moved = self._seen(state)[0]
+    def _all(self, state: State) -> tuple[Float, Float, Float]:
+        """Compute gap, normal and curvature of all facets as seen from the tool (collective)."""
+        moved, seen = self._moved(state), self._seen(state)[0]
 
         def make() -> tuple[Float, Float, Float]:
-            found = self._tool.gap(self._x, moved)
-            R, d = self._moving.motion(state.t)
-            arm = float(np.linalg.norm(self._x - self._moving.about + moved, axis=1).max(initial=0.0))
-            self._last = Seen(state.u_local[self._particles], R, d, arm, float(found[0].min(initial=np.inf)))
+            found = self._tool.gap(self._x, seen)
+            arm = np.linalg.norm(self._x - self._moving.about + seen, axis=1)
+            self._last = Seen(moved, *self._moving.motion(state.t), arm, found[0])
             return found
 
-        return state.kept((self, "gap"), make)
+        return state.kept((self, "all"), make)
 
-    def _is_clear(self, state: State) -> bool:
-        """Return True if the smallest gap at the last evaluation exceeds the motion since (collective).
+    def _within(self, moved: Float, t: float, limit: Float | float) -> GlobalIndex:
+        """Return the facets with displacements ``moved`` whose gap may be below a limit [length] (not collective).
 
-        A facet moves by ``sum_k N_f(x_k) du_k``, and from the tool it is seen to move by at most ``|dd| + |dR| arm``
-        more: the distance of a point from the tool changes by at most its way.
+        A facet that moves by ``du`` is seen from the tool to move by at most ``|du| + |dd| + |dR| arm``: its distance
+        from the tool changes by at most that.
         """
-        u, last = state.u_local[self._particles], self._last
-        R, d = self._moving.motion(state.t)
-        way = self._most * np.sqrt(((u - last.u) ** 2).sum(axis=1).max(initial=0.0))
-        way += np.linalg.norm(d - last.d) + np.linalg.norm(R - last.R) * last.arm
-        rounding = CLEAR * (self._spacing + CLEAR * abs(last.gap))
-        return bool(last.gap - way > self._p.max(initial=0.0) / self._c + rounding)
+        last, (R, d) = self._last, self._moving.motion(t)
+        way = (
+            np.linalg.norm(moved - last.moved, axis=1)
+            + np.linalg.norm(d - last.d)
+            + np.linalg.norm(R - last.R) * last.arm
+        )
+        return np.flatnonzero(last.gap - way <= limit + CLEAR * (self._spacing + CLEAR * np.abs(last.gap)))
+
+    def _near(self, state: State) -> tuple[GlobalIndex, tuple[Float, Float, Float]]:
+        """Return the facets that may be in contact or have a multiplier, and their gap, normal and curvature.
+
+        Collective.
+        """
+        moved, seen = self._moved(state), self._seen(state)[0]
+
+        def make() -> tuple[GlobalIndex, tuple[Float, Float, Float]]:
+            limit = np.where(self._p > 0.0, np.inf, 0.0)
+            rows = self._within(moved, state.t, limit)
+            if len(rows) <= MOST_NEAR * len(self._x):
+                return rows, self._tool.gap(self._x[rows], seen[rows])
+            g, n, H = self._all(state)
+            rows = self._within(moved, state.t, limit)
+            return rows, (g[rows], n[rows], H[rows])
+
+        return state.kept((self, "near", self.version), make)
 
     def _gap(self, state: State) -> tuple[Float, Float]:
-        return self._distance(state)[:2]
+        return self._near(state)[1][:2]
 
     def _slip(self, state: State) -> Float:
-        return self._seen(state)[0] - self._slid
+        rows = self._near(state)[0]
+        return np.asarray(self._seen(state)[0][rows] - self._slid[rows])
 
     def _rotation(self, state: State) -> Float:
         return self._seen(state)[1]
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the blocks of the facets in contact."""
-        touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._distance(state)
+        touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._near(state)[1]
         n, H = n[touching.rows], H[touching.rows]
         blocks = self._c * touching.by_pressure[:, :, None] * n[:, None, :] - touching.by_normal @ H - touching.by_slip
-        return [self._at.product(self.body.cloud.n_owned, touching.rows, R @ blocks @ R.T)]
+        return [self._points(state).product(self.body.cloud.n_owned, touching.rows, R @ blocks @ R.T)]
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return the blocks of all facets as if they were pressed and stuck."""
@@ -241,7 +261,7 @@ class ContactForces(FacetContact):
 
     def tool_gap(self, state: State) -> float:
         """Return the smallest distance of the tool from the facets [length]."""
-        return smallest(self.body.cloud.comm, self._gap(state)[0])
+        return smallest(self.body.cloud.comm, self._all(state)[0])
 
     def start_friction(self, state: State) -> None:
         """Measure slip from a state in which the tool comes into touch."""
@@ -250,7 +270,11 @@ class ContactForces(FacetContact):
 
     def tool_forces(self, state: State) -> Float:
         """Return the forces of the tool on the facets (n_facets, dim) [force], unless it rests."""
-        return super().tool_forces(state) if self._tool.rests else self._forces(state)
+        if self._tool.rests:
+            return super().tool_forces(state)
+        force = np.zeros_like(self._x)
+        force[self._points(state).of] = self._forces(state)
+        return force
 
     def tool_work(self, forces: Float, before: State, after: State) -> float:
         """Return the work of mean forces on the mean way of the points of the tool that are at the facets."""
@@ -265,16 +289,18 @@ class ContactForces(FacetContact):
         """Return a reason if the tool has passed through a facet, or turned too far for the path of friction."""
         title = self._title[0].lower() + self._title[1:]
         tool, moving, t0 = self._tool, self._moving, state.clock.before
-        g, n = self._gap(state)
-        seen = self._seen(state)[0]
-        start, end = moving.absolute(self._x, self._slid, t0), moving.absolute(self._x, seen, state.t)
-        through = np.zeros(len(g), dtype=bool)
+        seen, x, end = self._seen(state)[0], self._x, self._moved(state)
+        start, through = moving.absolute(x, self._slid, t0), False
         way = largest(self.body.cloud.comm, np.abs(seen - self._slid), initial=0.0)
         places = min(max(PLACES, math.ceil(2.0 * way / self._spacing)), MOST_PLACES)
         for share in np.arange(1, places) / places:
-            u, _ = moving.relative(self._x, start + share * (end - start), t0 + share * (state.t - t0))
-            between, normal, _ = tool.gap(self._x, u)
-            through |= (between < -self._allowed) & ((g > 0.0) | ((n * normal).sum(axis=1) < 0.0))
+            at, t = start + share * (end - start), t0 + share * (state.t - t0)
+            rows = self._within(at, t, 0.0)
+            if len(rows):
+                between, normal, _ = tool.gap(x[rows], moving.relative(x[rows], at[rows], t)[0])
+                g, n, _ = tool.gap(x[rows], seen[rows])
+                turned = (n * normal).sum(axis=1) < 0.0
+                through |= bool(((between < -self._allowed) & ((g > 0.0) | turned)).any())
         if anywhere(self.body.cloud.comm, through):
             return f"{title} passed through the surface in one step"
         if self._mu > 0.0 and self._moving.angle(state.clock.before, state.t) > TURN:
@@ -286,7 +312,9 @@ class ContactForces(FacetContact):
         super().commit(state)
         self._slid_end[:] = self._seen(state)[0]
         if self._nearest > self._allowed:
-            self._nearest = min(self._nearest, self.tool_gap(state))
+            rows = self._within(self._moved(state), state.t, self._nearest)
+            g, *_ = self._tool.gap(self._x[rows], self._seen(state)[0][rows])
+            self._nearest = min(self._nearest, smallest(self.body.cloud.comm, g))
 
     @property
     def untouched(self) -> float:
@@ -311,11 +339,10 @@ class ContactForces(FacetContact):
         """Return the mean tractions on the facets of the own particles (n_owned, dim) [stress]."""
 
         def traction(state: State) -> Float:
-            rows, points = self._touching(state).rows, self._at
-            owner, n = points.stencils.owner, self.body.cloud.n_owned
+            n, owner = self.body.cloud.n_owned, self._points(state).stencils.owner
             values = np.zeros((n, self.body.dim))
-            np.add.at(values, owner[rows], points.area[rows, None] * self._in_space(state))
-            area = np.bincount(owner, points.area, n)
+            np.add.at(values, owner, self._forces(state))
+            area = np.bincount(self._at.stencils.owner, self._at.area, n)
             return np.asarray(values / np.where(area > 0.0, area, 1.0)[:, None])
 
         return {f"{self._name}_traction": traction}

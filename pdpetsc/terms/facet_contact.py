@@ -18,7 +18,7 @@ from pdpetsc.discrete.communicator import counted_once, largest
 from pdpetsc.errors import SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.products import FacetSprings
-from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.kernels.facet_pairs import carry_all, spread
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
@@ -55,12 +55,6 @@ class Touching(NamedTuple):
     by_pressure: Float
     by_normal: Float
     by_slip: Float
-
-    @classmethod
-    def nothing(cls, dim: int) -> Touching:
-        """Return no points in contact."""
-        vectors, matrices = np.empty((0, dim)), np.empty((0, dim, dim))
-        return cls(np.empty(0, dtype=np.int64), vectors, vectors, matrices, matrices)
 
 
 class ContactProduct(FacetSprings):
@@ -138,13 +132,20 @@ class FixedPoints(Points):
         area = np.linalg.norm(facets.area, axis=1)
         return cls(facets.x, area, np.arange(len(area)), facets.stencils, facets.N)
 
+    def chosen(self, rows: GlobalIndex) -> FixedPoints:
+        """Return some of the points."""
+        entry, ptr = entries_of(self.stencils.point_ptr, rows)
+        stencils = StencilMembers(self.stencils.owner[rows], ptr, self.stencils.members[entry])
+        return FixedPoints(self.x[rows], self.area[rows], self.of[rows], stencils, self.weights[entry])
+
     def moved(self, u: Float) -> Float:
-        at = self.weights[:, None] * u[self.stencils.members]
-        return np.asarray(sum_by(row_of_entries(self.stencils.point_ptr), at, len(self.area)))
+        found = np.empty((len(self.area), 1, u.shape[1]))
+        carry_all(self.stencils.point_ptr, self.stencils.members, self.weights[:, None], u, found)
+        return found[:, 0]
 
     def spread(self, force: Float, f: Float) -> None:
-        of = row_of_entries(self.stencils.point_ptr)
-        np.add.at(f, self.stencils.members, -self.weights[:, None] * force[of])
+        of = self.stencils
+        spread(of.point_ptr, of.members, self.weights[:, None], force.any(axis=1), -force[:, None], f)
 
     def resistance(self, each: float, n: int) -> scipy.sparse.csr_matrix:
         """Compute the matrix ``each sum_p A_p w_p (x) w_p`` of numbers of n local particles."""
@@ -154,9 +155,8 @@ class FixedPoints(Points):
 
     def product(self, n_owned: int, rows: GlobalIndex, stiffness: Float) -> ContactProduct:
         """Return the tangent of some points with blocks (m, dim, dim) [stress / length]."""
-        entry, ptr = entries_of(self.stencils.point_ptr, rows)
-        members = StencilMembers(self.stencils.owner[rows], ptr, self.stencils.members[entry])
-        return ContactProduct(members, n_owned, self.weights[entry], self.area[rows, None, None] * stiffness)
+        points = self.chosen(rows)
+        return ContactProduct(points.stencils, n_owned, points.weights, points.area[:, None, None] * stiffness)
 
 
 class FacetContact(Term):
@@ -226,18 +226,10 @@ class FacetContact(Term):
         """Return the rotation from the axes of normals and tractions to those of space (collective)."""
         return np.eye(self.body.dim)
 
-    def _is_clear(self, state: State) -> bool:
-        """Return True if the motion since an earlier state excludes contact on this rank (collective)."""
-        return False
-
     def _touching(self, state: State) -> Touching:
         """Compute the tractions at the points in contact, in the axes of the normals (collective)."""
         _ = state.u_local
-
-        def make() -> Touching:
-            return Touching.nothing(self.body.dim) if self._is_clear(state) else self._tractions(state)
-
-        return state.kept((self, "touching", self.version), make)
+        return state.kept((self, "touching", self.version), lambda: self._tractions(state))
 
     def _felt(self, state: State) -> Float:
         """Compute the gap that determines the pressure of each point (n_points,) [length] (collective)."""
@@ -297,8 +289,6 @@ class FacetContact(Term):
 
     def _pressures(self, state: State) -> Float:
         """Compute the mean pressure of the points of each multiplier [stress] (collective)."""
-        if self._is_clear(state):
-            return np.zeros(len(self._owner))
         points = self._points(state)
         return points.mean(np.maximum(self._p[points.of] - self._c * self._felt(state), 0.0), len(self._owner))
 

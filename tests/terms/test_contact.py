@@ -519,37 +519,83 @@ def test_a_tool_beside_the_body_is_accepted(tool, region):
     pd.prepare(case)
 
 
-@pytest.mark.parametrize("turns", [False, True])
-def test_facets_that_have_moved_less_than_their_gap_are_not_evaluated(turns, rng, monkeypatch):
-    """A tool that moves, or turns about a point far away, and a body that moves: the forces are those of the gap."""
-    motion = {"turn": 0.08, "about": (9.0, 1.3)} if turns else {"move": (0.0, -0.6)}
-    tool = pd.RigidBox((0.4, 1.3), (1.6, 1.5), **motion)
-    problem = pd.prepare(block(tool, 0.3)).problem
-    (term,) = (one for one in problem.terms if type(one).__name__ == "ContactForces")
-    evaluated, gap = [], pd.RigidBox.gap
-    monkeypatch.setattr(pd.RigidBox, "gap", lambda tool, x, u: evaluated.append(0) or gap(tool, x, u))
+# Tools that press less deep than a spacing, or pass a part of the surface in a step.
+MOTIONS = {
+    "moves": pd.RigidBox((0.4, 1.3), (1.6, 1.5), move=(0.1, -0.38)),
+    "turns about a point far away": pd.RigidBox((0.4, 1.3), (1.6, 1.5), turn=0.044, about=(9.0, 1.3)),
+    "comes back": pd.RigidSphere(
+        (1.0, 1.6), 0.5, move=(0.3, -0.2), schedule=pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])
+    ),
+    "in space": pd.RigidSphere(
+        (0.3, 0.3, 1.0), 0.4, move=(0.1, 0.0, -0.17), turn=(0.0, 0.1, 0.1), about=(0.3, 0.3, 1.0)
+    ),
+}
 
-    def force(u, t):
-        f = np.zeros((problem.body.cloud.n_local, 2))
-        term.add_force(problem.state(u, t), f)
-        return f
 
-    touched, skipped = 0, 0
-    path = np.concatenate([np.linspace(0.0, 1.0, 40), np.linspace(1.0, 0.0, 20), rng.uniform(0.0, 1.0, 40)])
-    u = np.zeros((problem.body.cloud.n_owned, 2))
-    for t in path:
-        u += rng.uniform(-2e-3, 2e-3, u.shape)
-        evaluated.clear()
-        found = force(u, t)
-        skipped += not evaluated
-        moved = term._seen(problem.state(u, t))[0]
-        g, n, _ = gap(tool, term._x, moved)
-        pressed = term._at.area * term._c * np.maximum(-g, 0.0)
-        normal = (term._forces(problem.state(u, t)) @ term._rotation(problem.state(u, t)) * n).sum(axis=1)
-        np.testing.assert_allclose(normal, pressed, rtol=1e-9, atol=1e-9)
-        assert found.any() == (g < 0.0).any()
-        touched += bool((g < 0.0).any())
-    assert touched > 20 and skipped > 10
+def twice(motion, friction, penetration, monkeypatch):
+    """Return two equal problems with a tool, and their contacts; the second one evaluates all facets."""
+    tool = MOTIONS[motion]
+    if motion == "in space":
+        nodes = pd.LatticeNodes((0.0, 0.0, 0.0), (0.6, 0.6, 0.5), 0.1)
+        conditions = [pd.Clamp("-z"), pd.Contact(pd.region.All(), tool, friction, penetration=penetration, name="tool")]
+        case = pd.Case(particles=nodes, material=pd.LinearElastic(E=E, nu=NU), conditions=conditions)
+    else:
+        case = block(tool, friction, penetration=penetration)
+    problems = [pd.prepare(case).problem for _ in range(2)]
+    terms = [next(one for one in p.terms if type(one).__name__ == "ContactForces") for p in problems]
+    monkeypatch.setattr(terms[1], "_within", lambda moved, t, limit: np.arange(len(moved)))
+    return problems, terms
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_facets_that_have_moved_less_than_their_gap_are_not_evaluated(motion, friction, rng, monkeypatch):
+    """Random motions of the body along steps of a tool: forces and all that is kept are those of all facets."""
+    problems, terms = twice(motion, friction, 0.99, monkeypatch)
+    kind = type(MOTIONS[motion])
+    evaluated, gap = [], kind.gap
+    monkeypatch.setattr(kind, "gap", lambda tool, x, u: evaluated.append(len(x)) or gap(tool, x, u))
+    counts, touched = np.zeros(2), 0
+    u = np.zeros((problems[0].body.cloud.n_owned, problems[0].dim))
+    for t in np.linspace(0.0, 1.0, 40)[1:]:
+        for _ in range(3):
+            u = u + rng.uniform(-2e-3, 2e-3, u.shape)
+            found = []
+            for k, (problem, term) in enumerate(zip(problems, terms, strict=True)):
+                state, f = problem.state(u, t), np.zeros((problem.body.cloud.n_local, problem.dim))
+                evaluated.clear()
+                term.add_force(state, f)
+                counts[k] += sum(evaluated)
+                numbers = [term.energy(state), *(value(state) for value in term.numbers().values())]
+                traction = next(iter(term.fields().values()))(state)
+                found.append((f, term.tool_forces(state), numbers, traction))
+            for one, other in zip(*found, strict=True):
+                scale = np.abs(other).max(initial=0.0)
+                np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * scale)
+            touched += bool(found[1][0].any())
+        for problem, term in zip(problems, terms, strict=True):
+            term.update_multipliers(problem.state(u, t))
+            term.commit(problem.state(u, t))
+            term.start_from(problem.state(u, t))
+        assert terms[0].untouched == terms[1].untouched
+        for one, other in zip(*(term.arrays().values() for term in terms), strict=True):
+            np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-12)
+    assert touched > 10 and counts[0] < 0.7 * counts[1]
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_passage_is_found_among_the_facets_that_may_be_in_the_tool(motion, rng, monkeypatch):
+    problems, terms = twice(motion, 0.0, 1e-4, monkeypatch)
+    answers = []
+    for _ in range(40):
+        u = rng.uniform(-0.15, 0.15) + rng.uniform(-0.05, 0.05, (problems[0].body.cloud.n_owned, problems[0].dim))
+        t = rng.uniform(0.0, 1.0)
+        some, whole = (term.objection(p.state(u, t)) for p, term in zip(problems, terms, strict=True))
+        assert some == whole
+        answers.append(some)
+        # Gaps are known from any earlier state.
+        problems[0].internal_force(problems[0].state(0.1 * u, rng.uniform(0.0, 1.0)))
+    assert len(set(answers)) == 2 or motion in ("moves", "in space")
 
 
 def test_rough_plates_hold_the_faces_of_a_block(tmp_path):

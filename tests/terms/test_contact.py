@@ -588,14 +588,14 @@ def test_a_passage_is_found_among_the_facets_that_may_be_in_the_tool(motion, rng
     problems, terms = twice(motion, 0.0, 1e-4, monkeypatch)
     answers = []
     for _ in range(40):
-        u = rng.uniform(-0.15, 0.15) + rng.uniform(-0.05, 0.05, (problems[0].body.cloud.n_owned, problems[0].dim))
+        u = rng.uniform(-0.5, 0.5) + rng.uniform(-0.05, 0.05, (problems[0].body.cloud.n_owned, problems[0].dim))
         t = rng.uniform(0.0, 1.0)
         some, whole = (term.objection(p.state(u, t)) for p, term in zip(problems, terms, strict=True))
         assert some == whole
         answers.append(some)
         # Gaps are known from any earlier state.
         problems[0].internal_force(problems[0].state(0.1 * u, rng.uniform(0.0, 1.0)))
-    assert len(set(answers)) == 2 or motion in ("moves", "in space")
+    assert len(set(answers)) == 2, set(answers)
 
 
 def test_rough_plates_hold_the_faces_of_a_block(tmp_path):

@@ -61,28 +61,6 @@ def push(one, other, at, force, used, other_used, q, other_q):
                 other_q[b, 1 + j, m] -= at[p, 1, j] * force[p, m]
 
 
-@compiled
-def by_fields(J, X, other_X, one, other, found):
-    """Write derivatives by displacements and gradients (n, r, 2, 1 + dim, dim) from those by corners (n, r, 2 k dim).
-
-    ``X`` are the undeformed corners relative to the centroids of their facets.
-    """
-    dim = found.shape[4]
-    k = J.shape[2] // (2 * dim)
-    for p in range(one.size):
-        for r in range(J.shape[1]):
-            for side in range(2):
-                for c in range(1 + dim):
-                    for m in range(dim):
-                        value = 0.0
-                        for corner in range(k):
-                            x = 1.0
-                            if c > 0:
-                                x = X[one[p], corner, c - 1] if side == 0 else other_X[other[p], corner, c - 1]
-                            value += x * J[p, r, (side * k + corner) * dim + m]
-                        found[p, r, side, c, m] = value
-
-
 @lru_cache
 def pair_times_kernel(dim: int) -> Callable[..., Any]:
     """Return ``times``, which adds the forces of groups of pairs: see ``PairProduct``.

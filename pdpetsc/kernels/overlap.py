@@ -49,37 +49,44 @@ def overlap(y, other_y, X, other_X, one, other, facing, q):
 
 
 @compiled
-def overlap_by_corners(y, other_y, X, other_X, one, other, facing, dim, J):
-    """Compute the derivatives of the quantities of ``overlap`` by the corners, with complex differences.
+def overlap_by_fields(y, other_y, X, other_X, one, other, facing, J):
+    """Compute the derivatives of the quantities of ``overlap`` by the motion of the facets, with complex differences.
 
-    ``J`` (n_pairs, 11, 2 k dim) has the components of the k corners of the one facet, then those of the other. In the
-    plane a corner is an edge across it, and k is 2.
+    ``J`` (n_pairs, 11, 2, 1 + dim, dim) has those by displacement and displacement gradient of both facets:
+    ``[:, :, :, 1 + k]`` is the derivative by that of the displacement along axis ``k``. Nothing depends on a
+    displacement of both facets together.
     """
     p, r = np.empty((MOST + 1, 2), np.complex128), np.empty((MOST + 1, 2), np.complex128)
     edge, v = np.empty((4, 2), np.complex128), np.empty((6, 3), np.complex128)
     q = np.empty(QUANTITIES, np.complex128)
     facets = np.empty((2, 4, 3), np.complex128)
-    k = 4 if dim == 3 else 2
+    dim = J.shape[4]
     for s in range(one.size):
         a, b = one[s], other[s]
         size = 0.0
         for m in range(3):
             size += abs(y[a, 2, m] - y[a, 0, m])
-        step = STEP * size
         for side in range(2):
-            for c in range(k):
+            offsets = X[a] if side == 0 else other_X[b]
+            for k in range(1 + dim):
+                wide = k == 0 and side == 0
+                for corner in range(4):
+                    wide = wide or (k > 0 and offsets[corner, k - 1] != 0.0)
                 for i in range(dim):
+                    if not wide:
+                        for number in range(QUANTITIES):
+                            J[s, number, side, k, i] = -J[s, number, 0, 0, i] if k == 0 else 0.0
+                        continue
+                    step = STEP * size if k == 0 else STEP
                     for corner in range(4):
                         for m in range(3):
                             facets[0, corner, m] = y[a, corner, m]
                             facets[1, corner, m] = other_y[b, corner, m]
-                    facets[side, c, i] += 1j * step
-                    if dim == 2:
-                        facets[side, 3 - c, i] += 1j * step
+                    for corner in range(4):
+                        facets[side, corner, i] += 1j * step * (1.0 if k == 0 else offsets[corner, k - 1])
                     _pair(facets[0], facets[1], X[a], other_X[b], facing, p, r, edge, v, q)
-                    column = (side * k + c) * dim + i
                     for number in range(QUANTITIES):
-                        J[s, number, column] = q[number].imag / step
+                        J[s, number, side, k, i] = q[number].imag / step
 
 
 @compiled

@@ -260,10 +260,11 @@ def start_anew(ksp: PETSc.KSP) -> None:
 
 def effort(ksp: PETSc.KSP) -> float | None:
     """Return the iterations per digit of the last linear solve; None if there is none or it failed."""
-    rtol = float(ksp.getTolerances()[0])
-    if ksp.getConvergedReason() <= 0 or not 0.0 < rtol < 1.0:
+    rtol, iterations = float(ksp.getTolerances()[0]), ksp.getIterationNumber()
+    # Setting up the solver for the next solve clears the reason, but not the iterations.
+    if ksp.getConvergedReason() < 0 or iterations == 0 or not 0.0 < rtol < 1.0:
         return None
-    return float(ksp.getIterationNumber() / -np.log10(rtol))
+    return float(iterations / -np.log10(rtol))
 
 
 def linear_solver(ksp: PETSc.KSP) -> str:

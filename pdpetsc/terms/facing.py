@@ -14,8 +14,7 @@ from pdpetsc.discrete.communicator import agreed, anywhere, exchange, largest, n
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.pair_product import MovingFacets
-from pdpetsc.kernels.facet_pairs import by_fields
-from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES, overlap, overlap_by_corners
+from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES, overlap, overlap_by_fields
 from pdpetsc.problem.body import Body
 
 # Facets face each other if the cosine of the angle between one normal and minus the other exceeds this.
@@ -115,10 +114,6 @@ class Side:
         q = self.moving.fields(u)
         y[:, :, :dim] += q[:, None, 0] + self.offsets[:, :, :dim] @ q[:, 1:]
         return y
-
-
-# Corners of a facet whose displacements differ.
-_CORNERS = {2: 2, 3: 4}
 
 
 @dataclass(frozen=True)
@@ -371,14 +366,12 @@ class Search:
             By displacement and gradient of both facets, as of ``MovingFacets.fields``.
         """
         dim = self._cloud.dim
-        J = np.empty((len(pairs.rows), QUANTITIES, 2 * _CORNERS[dim] * dim))
-        overlap_by_corners(
-            *self._deformed(u), self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, dim, J
+        J = np.empty((len(pairs.rows), QUANTITIES, 2, 1 + dim, dim))
+        overlap_by_fields(
+            *self._deformed(u), self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, FACING, J
         )
         J[:, AREA] *= self.one.depth
-        found = np.empty((len(J), QUANTITIES, 2, 1 + dim, dim))
-        by_fields(J, self.one.offsets, self.other.offsets, pairs.rows, pairs.other_rows, found)
-        return found
+        return J
 
     def _deformed(self, u: Float) -> tuple[Float, Float]:
         """Return the deformed corners of both sides [length]."""

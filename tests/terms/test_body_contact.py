@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare.region import View
-from pdpetsc.kernels.overlap import QUANTITIES, overlap_by_corners
+from pdpetsc.kernels.overlap import QUANTITIES, overlap_by_fields
 from pdpetsc.problem.assembly import Assembler
 from tests.commands import Stop, called, results
 
@@ -260,8 +260,8 @@ def test_derivatives_are_bounded_where_edges_coincide(rng):
         turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
         sheared = below + np.array([0.0, rng.choice([0.0, 0.3]), 0.0])
         sides = [np.ascontiguousarray((side @ turn.T)[None]) for side in (sheared, flat)]
-        J = np.empty((1, QUANTITIES, 24))
-        overlap_by_corners(*sides, *sides, one, one, 0.5, 3, J)
+        J = np.empty((1, QUANTITIES, 2, 4, 3))
+        overlap_by_fields(*sides, *sides, one, one, 0.5, J)
         assert np.abs(J).max() < 10.0
 
 

@@ -9,7 +9,8 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare.region import View
-from pdpetsc.kernels.overlap import QUANTITIES, overlap_by_fields
+from pdpetsc.gradient.pair_product import FacetPairs, MovingFacets, PairProduct
+from pdpetsc.kernels.overlap import AREA, QUANTITIES, overlap, overlap_by_fields
 from pdpetsc.problem.assembly import Assembler
 from tests.commands import Stop, called, results
 
@@ -263,6 +264,83 @@ def test_derivatives_are_bounded_where_edges_coincide(rng):
         J = np.empty((1, QUANTITIES, 2, 4, 3))
         overlap_by_fields(*sides, *sides, one, one, 0.5, J)
         assert np.abs(J).max() < 10.0
+
+
+def test_facets_are_beside_each_other_only_if_their_outlines_do_not_overlap(rng):
+    """The derivatives are those of outlines that are always clipped."""
+    flat = np.array([(-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0)])
+    n = 4000
+    moved = [flat[None] * rng.uniform(0.2, 2.0, (n, 1, 3)), flat[None, ::-1] + rng.uniform(-1.5, 1.5, (n, 1, 3))]
+    turned = np.eye(3) + 0.3 * rng.standard_normal((n, 3, 3))
+    y, other_y = moved[0], np.ascontiguousarray(moved[1] @ turned)
+    rows, q, J = np.arange(n), np.zeros((n, QUANTITIES)), np.empty((n, QUANTITIES, 2, 4, 3))
+    overlap(y, other_y, y, other_y, rows, rows, 0.5, q)
+    overlap_by_fields(y, other_y, y, other_y, rows, rows, 0.5, J)
+    some = J[:, AREA].any(axis=(1, 2, 3))
+    assert 0.1 * n < some.sum() < 0.9 * n
+    np.testing.assert_array_equal(q[:, AREA] > 0.0, some)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_near_facets_contain_all_pairs_that_touch(dim, rng):
+    """Random motions from a search to the next one: the pairs are those of all facets."""
+    if dim == 2:
+        case = stacked(spacings=(0.125, 0.1))
+    else:
+        lower, upper = (pd.LatticeNodes((0.0, 0.0, z), (1.0, 1.0, z + 0.5), h) for z, h in ((0.0, 0.125), (0.5, 0.1)))
+        contact = pd.BodyContact("lower +z", "upper -z", name="pair")
+        case = pd.Case(
+            particles=pd.Bodies({"lower": lower, "upper": upper}), material=pd.LinearElastic(E=E, nu=NU),
+            conditions=[pd.Clamp("lower -z"), pd.Clamp("upper +z"), contact],
+        )  # fmt: skip
+    problem, term = problem_of(case)
+    search, n = term._search, problem.body.cloud.n_owned
+    upper = problem.body.cloud.body[:n] == 1
+    u, counts = np.zeros((n, dim)), []
+    for _ in range(60):
+        u = u + rng.uniform(-2e-3, 2e-3, u.shape) + upper[:, None] * rng.uniform(-0.02, 0.02, dim)
+        u[upper, -1] = np.clip(u[upper, -1], -0.01, 0.04)
+        state = problem.state(u)
+        version = search.version
+        term.follow(state)
+        counts.append(search.version - version)
+        found, every = search.pairs(u), search.passed(u, 0.3)
+        found, every = ({*zip(p.rows[p.gap < 0.04], p.other_rows[p.gap < 0.04], strict=True)} for p in (found, every))
+        assert found == every and found
+    assert 0 < sum(counts) < 60
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("moves", [False, True])
+def test_pairs_have_the_forces_of_their_particles(dim, moves, rng):
+    """The product on facets is that of the listed vectors of particles, for all and for some particles."""
+    n_local, n, r = 40, 30, 1 if not moves else 3 * dim
+    sides = []
+    for _ in range(2):
+        members = np.concatenate([rng.choice(n_local, 5, replace=False) for _ in range(12)]).astype(np.int32)
+        sides.append(MovingFacets(np.arange(0, 61, 5), members, rng.standard_normal((60, 1 + dim))))
+    pairs = FacetPairs(tuple(sides), (rng.integers(0, 12, n), rng.integers(0, 12, n)), rng.standard_normal((n, 2, dim)))
+    start = np.arange(n + 1) if moves else np.unique(np.append(rng.integers(0, n, 8), [0, n]))
+    owner = np.sort(rng.integers(0, 9, len(start) - 1)).astype(np.int32)
+    G, h = rng.standard_normal((n, r, 2, 1 + dim, dim)), rng.standard_normal((n, dim if moves else 1, dim))
+    force = rng.standard_normal((n, dim)) if moves else None
+    product = PairProduct(pairs, owner, start, 10, G, h, force, stiff=not moves)
+    assert (product.stiff() is None) == moves
+    du = rng.standard_normal((n_local, dim))
+    for particles in (np.arange(10), np.arange(4), np.array([9])):
+        found, listed = np.zeros((2, n_local, dim))
+        product.add_product(du, found, particles.astype(np.int32))
+        product.listed.add_product(du, listed, particles.astype(np.int32))
+        np.testing.assert_allclose(found, listed, rtol=1e-10, atol=1e-10)
+        assert found.any() == (particles[0] < 9)
+    # Blocks of facets contain no coupling of both facets of a pair: the members of both sides are others here.
+    other = MovingFacets(sides[1].ptr, sides[1].members + n_local, sides[1].weights)
+    apart = FacetPairs((sides[0], other), pairs.rows, pairs.at)
+    product = PairProduct(apart, owner, start, 10, G, h, force, stiff=not moves)
+    found, listed = np.zeros((2, 2 * n_local, dim, dim))
+    assert product.add_point_blocks(found) and product.listed.add_point_blocks(listed)
+    np.testing.assert_allclose(found, listed, rtol=1e-10, atol=1e-10)
+    assert found.any()
 
 
 def test_pressed_blocks_converge_without_a_matrix(tmp_path):

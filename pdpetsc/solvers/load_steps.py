@@ -35,6 +35,8 @@ FIRST = 1e-8
 # Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. Damage that is too large
 # in a sweep stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
 SWEPT = 1e-5
+# Tolerance of sweeps if forces have an energy; ten times smaller after a sweep that changed nothing.
+LOOSE = 1e-3
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
 FOLLOWING = 50
 
@@ -307,13 +309,14 @@ def settle(
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
-    series, change = GeometricSeries(problem), 1.0
+    series, change, loose = GeometricSeries(problem), 1.0, LOOSE
     # The last solve, with the iterations of all.
     broken, last = 0, StepResult(True, "", easy=False)
     for sweep in range(1, most + 1):
         damage.freeze(True)
-        with solver.loosely(None if energy else SWEPT * change) if near >= LAST else nullcontext():
+        with solver.loosely(loose if energy else SWEPT * change) if near >= LAST else nullcontext():
             u, result = solver.solve(u, target)
+        idle = energy and result.iterations == 0 and near >= LAST and loose > LAST
         last = result = result.after(last)
         if not result.converged:
             return u, result
@@ -324,6 +327,9 @@ def settle(
         if change <= LAST and near < LAST and not more:
             found = replace(result, reason="damage settled", negative_pivots=None, growth=solver.growth(u))
             return u, replace(found, broken=broken, sweeps=sweep)
+        if idle:  # the sweep before was in equilibrium already, to this tolerance
+            loose *= 0.1
+            continue
         # Without an energy Newton starts from an exact sweep.
         if more or max(change, 0.0 if energy else before) > near or near < LAST:
             continue

@@ -40,6 +40,8 @@ BACK = 20
 MISSED = 0.02
 # Linear solves need not reduce the residual below this share of the tolerance of Newton's method.
 ENOUGH = 0.1
+# With failing points, Newton's method has to reduce the smallest residual by this factor in so many iterations.
+TURN, TURNS = 0.1, 5
 # Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], the forces
 # of the last equilibrium [force], and the value of the measure.
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference", "measure")
@@ -419,6 +421,15 @@ class PathSolver(SnesSolver):
         self._x.array_w[: self._n_u] = start.ravel() / self._scales.length
         self.snes.solve(None, self._x)
         return self._bordered.iterations
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        verdict, damage = super()._test(snes, iteration, norms), self.problem.damage
+        if verdict is not None or damage is None or not damage.forces_have_energy or iteration < 2 * TURNS:
+            return verdict
+        # If points fail and unload in turn, sweeps take over.
+        seen = self._equilibrium.norms[-iteration - 1 :]
+        turns = min(seen[-TURNS:]) > TURN * min(seen[:-TURNS])
+        return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT) if turns else None
 
     def _read(self, x: PETSc.Vec) -> Float:
         return self._take(x)[0]

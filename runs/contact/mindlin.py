@@ -80,7 +80,7 @@ class ShearError(Sticking):
     def evaluate(self, solution):
         x, pressure, shear, area = self.of_facets(solution)
         P, Q = area @ pressure, abs(area @ shear)
-        if not 0.0 < Q < self.friction * P:
+        if not 1e-9 * P < Q < self.friction * P:
             return 0.0
         a, peak = hertz.line(P, self.radius, self.modulus)
         c = a * np.sqrt(1.0 - Q / (self.friction * P))

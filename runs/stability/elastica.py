@@ -3,8 +3,7 @@
 A column of length 40 and height 1, plane stress, E = 1000, nu = 0.3, clamped at one end, under a dead load that presses
 its free end and grows to ``load`` times Euler's, ``P_E = pi^2 E I / (2 L)^2``. A transverse dead load of
 ``imperfection`` times it decides to which side it bends. Without it, ``imperfection=0``, the solver switches from the
-straight to the bent column (``pd.Steps(unstable="switch")``). ``n`` cells over the height; with 16 and more take the
-direct solver, ``-pc_type cholesky``: the iterative one does not pass the load at which the column buckles.
+straight to the bent column (``pd.Steps(unstable="switch")``). ``n`` cells over the height.
 
 Elastica (Euler 1744; Timoshenko and Gere, section 2.7): with the rotation a of the free end
 ``P / P_E = (2 K(sin(a / 2)) / pi)^2``: 1.015, 1.063 and 1.152 at 20, 40 and 60 degrees.

@@ -2,7 +2,7 @@
 
 A strip of length 20 and height 0.5, plane stress, Hencky's law with E = 1000, nu = 0, clamped at its left side. A force
 at the rigid right side grows to ``load`` times ``E I / L^2`` and stays across the end, which turns by almost half a
-turn under the default. ``n`` cells over the height; with 16 and more take the direct solver, ``-pc_type cholesky``.
+turn under the default. ``n`` cells over the height.
 
 Elastica: with the angle ``a`` from the direction of the end at the distance s from it, ``E I a'' = -P cos a``,
 ``a = a' = 0`` at the end. These initial values do not depend on the rotation, so that SciPy integrates to the clamp.

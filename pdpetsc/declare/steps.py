@@ -51,14 +51,15 @@ class Steps(Declared):
         bonds that soften.
     unstable : {"warn", "shorten", "refuse", "switch"}
         Action at an equilibrium whose tangent has negative pivots, such as of a column above its critical force. A
-        direct linear solver counts them, an iterative one finds if there are any. ``warn`` continues with a warning.
-        ``shorten`` treats the step as failed, so that the run ends within the smallest step of the critical load.
-        ``refuse`` ends the run. ``switch`` moves an elastic body along the unstable eigenvector of its tangent to a
-        stable equilibrium under the same load, for example from a straight column to a bent one. If it finds none, the
-        step is shortened. The mean displacement of the eigenvector is positive. All but ``warn`` end a run if nothing
-        tells whether an equilibrium is stable: damage was held during a jump, or the tangent is unsymmetric, of contact
-        or pressure that follows. With such a tangent each step factors its symmetric part too. If that has no negative
-        pivots, the equilibrium is stable, and the run continues; sliding with friction usually has some.
+        direct linear solver counts them. An iterative one finds if there are any; with ``warn`` it may not look.
+        ``warn`` continues with a warning. ``shorten`` treats the step as failed, so that the run ends within the
+        smallest step of the critical load. ``refuse`` ends the run. ``switch`` moves an elastic body along the unstable
+        eigenvector of its tangent to a stable equilibrium under the same load, for example from a straight column to a
+        bent one. If it finds none, the step is shortened. The mean displacement of the eigenvector is positive. All but
+        ``warn`` end a run if nothing tells whether an equilibrium is stable: damage was held during a jump, or the
+        tangent is unsymmetric, of contact or pressure that follows. With such a tangent each step factors its symmetric
+        part too. If that has no negative pivots, no other equilibrium is near, and the run continues; sliding with
+        friction usually has some.
     plastic_growth : float, optional
         Largest growth of the accumulated plastic strain at any point in a step [-]. A step with a larger growth is
         repeated with a smaller size, and the size of the next step is limited accordingly.

@@ -13,10 +13,10 @@ EXACT, ITERATIONS = 1e-6, 100_000
 def has_negative_eigenvalue(ksp: PETSc.KSP, free: PETSc.Vec) -> bool | None:
     """Return True if the symmetric matrix of a linear solver has a negative eigenvalue; None if that is unknown.
 
-    Conjugate gradients solve ``A x = b`` for an irregular ``b``, with a positive definite preconditioner M. If all Ritz
-    values ``theta_k`` so far are positive, the residual along an eigenvector of ``M^-1 A`` with the eigenvalue ``lambda
-    < 0`` is that of ``b`` times ``prod(1 + |lambda| / theta_k) > 1``. The solve therefore converges only if there is no
-    such eigenvector, and otherwise meets a direction ``p . A p < 0``.
+    Conjugate gradients solve ``A x = b`` for an irregular ``b``, with a positive definite preconditioner M. Let
+    ``lambda < 0`` be an eigenvalue of ``M^-1 A``, and let all Ritz values ``theta_k`` so far be positive. The part of
+    the residual in its eigenvector is that of ``b`` times ``prod(1 + |lambda| / theta_k) > 1``. The solve therefore
+    converges only if there is no such eigenvector. Otherwise it meets a direction ``p . A p < 0``.
 
     M is the preconditioner of the solver if that has two levels with a positive definite coarse matrix. Otherwise it is
     the diagonal.
@@ -64,11 +64,13 @@ def _meets_negative_curvature(
     else:
         ksp.setPC(preconditioner)
     ksp.setOperators(mat, near)
-    ksp.setTolerances(rtol=EXACT, atol=0.0, max_it=ITERATIONS)
+    # The residual grows until negative curvature is met.
+    ksp.setTolerances(rtol=EXACT, atol=0.0, divtol=1e300, max_it=ITERATIONS)
     ksp.solve(b, x)
-    reason = ksp.getConvergedReason()
+    # PETSc reports changes of sign only: a negative definite matrix has none.
+    reason, negative = ksp.getConvergedReason(), bool(x.dot(b) < 0.0)
     ksp.destroy()
     x.destroy()
     if reason > 0:
-        return False
+        return negative
     return True if reason == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT else None

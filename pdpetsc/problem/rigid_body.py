@@ -190,7 +190,8 @@ class RigidBody:
         if self.declared.twisted:
             before, after = self._R
             between = turned(share * rotation_vector(after @ before.T), before) if share < 1.0 else after
-            R = between[: self._dim, : self._dim]
+            # ``move`` changes the rotation in place.
+            R = between[: self._dim, : self._dim].copy()
         return R, d
 
     @property

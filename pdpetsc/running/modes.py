@@ -265,8 +265,8 @@ def buckling(
     flexible(np.zeros_like(u0))
     if not flexible.stable():
         raise SolveError(
-            f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable; apply a "
-            f"smaller load."
+            f"The equilibrium at step time {t0:.6g}, from which buckling factors extrapolate, is unstable, or nothing "
+            f"tells whether it is; apply a smaller load, or use -pc_type cholesky."
         )
     bodies, spring = _rigid_bodies(problem), scales_of(problem.body, problem.material_term).stiffness
     stiff, loaded = (bodies.coupled(problem.state(u, t)) for u, t in ((u0, t0), (u1, t1)))

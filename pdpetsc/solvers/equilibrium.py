@@ -341,7 +341,7 @@ class Equilibrium:
 
         The tangent is updated to the state if ``anew``. That of held damage does not determine stability.
         """
-        if anew:
+        if anew or not self.tangent.holds():
             self.update(state)
         if self._factored_with != (False, self.problem.rebuilds):
             return None
@@ -355,8 +355,8 @@ class Equilibrium:
     def pivots_of_unsymmetric(self, state: State, ksp: PETSc.KSP) -> int | None:
         """Return 0 if the symmetric part of the tangent at a state has no negative pivots; None if that is unknown.
 
-        No perturbation grows then, since the tangent does positive work in every displacement. Negative pivots of that
-        part tell nothing: sliding with friction has them in stable equilibria.
+        The tangent then does positive work in every displacement, so that no other equilibrium is near; vibrations may
+        grow. Negative pivots of that part tell nothing: sliding with friction has them in stable equilibria.
         """
         if ksp.getPC().getType() != "lu" or self.problem.softens or self.problem.constrained:
             return None

@@ -51,6 +51,8 @@ class LoadStepSolver(StepSolver):
     """
 
     steps: Steps | AdaptiveSteps
+    # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
+    asks_for_stability = False
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
@@ -160,12 +162,13 @@ class LoadStepSolver(StepSolver):
         unstable = self.steps.unstable
         if unstable == "warn" or not result.converged:
             return u, result
-        if result.negative_pivots is None and result.linear_iterations:
+        if result.negative_pivots is None and self.asks_for_stability:
             self.problem.revert()
             raise SolveError(
                 f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
-                f'"{unstable}") asks for: the tangent of damage that is held during a jump does not, and an '
-                f"unsymmetric tangent only if it is factored and its symmetric part has no negative pivots; "
+                f'"{unstable}") asks for: damage was held during a jump, an iterative solve failed, loads on a rigid '
+                f"body have no energy, or the tangent is unsymmetric and was not factored, or its symmetric part has "
+                f"negative pivots; "
                 f"results are complete up to step time {t:.6g}; take unstable='warn' to go on without."
             )
         if result.negative_pivots and unstable == "switch":

@@ -190,7 +190,11 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         sought.objection = self._bodies.objection or sought.objection or self.problem.objection(self.state(u))
         if sought.objection:
             return u, sought.result(False, 0, 0, 0)
-        return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
+        result = sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
+        if not self.asks_for_stability:
+            return u, result
+        pivots = self._bodies.negative_pivots(self.state(u), np.zeros_like, 0) if self._bodies else 0
+        return u, replace(result, negative_pivots=pivots)
 
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps if its line search fails; return the linear iterations."""

@@ -187,8 +187,6 @@ class RigidBodies:
         Further ones are motions along which the loads do more work than the body resists. With loads that have no
         energy they are those of the symmetric part, which decide nothing unless there are none: None.
         """
-        if not self._bodies:
-            return held
         scale = self._scale
         found = held + negative(self._stiffness(self._sides(state), state, answer)[0] * scale[:, None] * scale)
         return found if not found or all(rigid.conservative for _, rigid in self._bodies) else None

@@ -251,7 +251,18 @@ class SnesSolver(StepSolver):
         state = sought.state(self._read(self._x))
 
         def whole(held: int | None) -> int | None:
-            return held if held is None else self._bodies.negative_pivots(state, self._reply, held)
+            if held is None or not self._bodies:
+                return held
+            failed = False
+
+            def reply(force: Float) -> Float:
+                nonlocal failed
+                found = self._reply(force)
+                failed |= ksp.getConvergedReason() < 0
+                return found
+
+            found = self._bodies.negative_pivots(state, reply, held)
+            return None if failed and not found else found
 
         changes = not (problem.linear or problem.softens) and problem.inertia is None
         held = sought.negative_pivots(self.snes, ksp)

@@ -77,3 +77,19 @@ def test_a_restart_goes_on_along_the_path(tmp_path):
     assert 1 < len(rest["t"]) < len(whole["t"])
     for name in ("t", "top"):
         np.testing.assert_allclose(rest[name], whole[name][-len(rest[name]) :], rtol=1e-9)
+
+
+def test_a_path_by_its_length_does_not_continue_the_value_of_another_measure(tmp_path):
+    """The length begins at 0 then, so that it exceeds an end below the opening that was reached."""
+    right = pd.region.Nearest((4.0, 0.5))
+
+    def case(measure):
+        return pd.Case(
+            pd.LatticeNodes((0.0, 0.0), (4.0, 1.0), 0.25), material=pd.J2(1000.0, 0.3, yield_stress=1e9),
+            conditions=[pd.Clamp("-x"), pd.Traction("+x", x=200.0)],
+            solver=pd.PathFollowing(measure, first=0.2, until=0.0), fields=[],
+        )  # fmt: skip
+
+    pd.run(case(pd.Opening("x", right, step=0.1, end=0.5)), tmp_path / "opening")
+    rest = pd.run(case(pd.ArcLength(step=0.05, end=0.2)), tmp_path / "length", restart=tmp_path / "opening")
+    assert len(rest.history["t"]) > 2

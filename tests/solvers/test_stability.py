@@ -6,9 +6,11 @@ import logging
 
 import numpy as np
 import pytest
+from petsc4py import PETSc
 
 import pdpetsc as pd
 from pdpetsc.declare import region
+from pdpetsc.petsc.curvature import has_negative_eigenvalue
 from tests.commands import results, summary
 
 LENGTH, E = 10.0, 1000.0
@@ -241,3 +243,27 @@ def test_sliding_with_friction_is_not_called_unstable(tmp_path):
     assert run.history["contact_x"][-1] == pytest.approx(0.3 * abs(run.history["contact_y"][-1]), rel=1e-3)
     with pytest.raises(pd.SolveError, match="nothing tells whether the equilibrium is stable"):
         pd.run(dataclasses.replace(case, steps=pd.Steps(4, unstable="refuse")), tmp_path / "refuse")
+
+
+def test_negative_definite_matrices_have_negative_eigenvalues():
+    """PETSc's conjugate gradients report changes of sign of the curvature only."""
+    for diagonal, negative in (([-1.0, -2.0, -3.0], True), ([1.0, 2.0, 3.0], False), ([1.0, -2.0, 3.0], True)):
+        entries = np.arange(4, dtype=PETSc.IntType), np.arange(3, dtype=PETSc.IntType), np.array(diagonal)
+        mat = PETSc.Mat().createAIJ((3, 3), csr=entries, comm=PETSc.COMM_SELF)
+        ksp, free = PETSc.KSP().create(comm=PETSc.COMM_SELF), mat.createVecRight()
+        ksp.setOperators(mat)
+        free.set(1.0)
+        assert has_negative_eigenvalue(ksp, free) is negative
+
+
+def test_a_column_whose_response_to_its_rigid_end_is_unknown_is_not_called_stable(tmp_path):
+    """Five hundred iterations do not solve for the response; the column is unstable from 2/3 of the load on."""
+    euler = np.pi**2 * E / 12.0 / (4.0 * 40.0**2)
+    end = pd.RigidRegion("+x", force=(-1.5 * euler, 0.0), moment=0.0, about=(40.0, 0.5))
+    case = pd.Case(
+        pd.LatticeNodes((0.0, 0.0), (40.0, 1.0), 0.25), horizon=2.015 * 0.25, conditions=[pd.Clamp("-x"), end],
+        material=pd.NeoHookean(E=E, nu=0.3, plane="stress"), steps=pd.Steps(3, unstable="refuse"), fields=[],
+    )  # fmt: skip
+    with pytest.raises(pd.SolveError, match="nothing tells whether the equilibrium is stable"):
+        pd.run(case, tmp_path, options={"pc_type": "jacobi", "ksp_type": "cg"})
+    assert all(step["t"] < 0.66 for step in summary(tmp_path)["steps"])

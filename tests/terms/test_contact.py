@@ -852,3 +852,15 @@ def test_a_tool_that_never_touches_is_told(way, told, tmp_path):
     assert len(warnings) == told
     if told:
         assert "The tool of Contact condition 4 never touched the body. The smallest gap was 0.5" in warnings[0]
+
+
+def test_a_tool_that_turns_freely_does_not_pass_through_a_body(tmp_path):
+    """A paddle swings against a block far from its axis."""
+    paddle = pd.RigidBox((0.0, 2.9), (3.0, 3.1), about=(0.0, 3.0), move=(0.0, 0.0), moment=0.0, inertia=1.0, spin=-1.0)
+    case = pd.Case(
+        pd.Lattice((1.5, 0.0), (2.5, 1.0), 0.125), material=pd.NeoHookean(1000.0, 0.3, density=1.0),
+        conditions=[pd.Clamp("-y"), pd.Contact(pd.region.All(), paddle, name="paddle")],
+        solver=pd.Implicit(dt=0.01, end=0.8), fields=[],
+    )  # fmt: skip
+    with pytest.raises(pd.SolveError, match="spacings deep in the body at step time"):
+        pd.run(case, tmp_path)

@@ -42,9 +42,9 @@ MISSED = 0.02
 ENOUGH = 0.1
 # With failing points, Newton's method has to reduce the smallest residual by this factor in so many iterations.
 TURN, TURNS = 0.1, 5
-# Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], the forces
-# of the last equilibrium [force], and the value of the measure.
-RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference", "measure")
+# Names in a checkpoint of the step of the measure, the largest forces [force], the highest load factor [-], and the
+# forces of the last equilibrium [force].
+RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
 
 
 class PathSolver(SnesSolver):
@@ -137,7 +137,7 @@ class PathSolver(SnesSolver):
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
         super().resume(start)
-        found = [start.resume[name] for name in RESUMED[:4] if name in start.resume]
+        found = [start.resume[name] for name in RESUMED if name in start.resume]
         if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
             raise CaseError(
                 "The checkpoint is damaged: a negative step, force or load factor of the path has no meaning; restart "
@@ -158,10 +158,15 @@ class PathSolver(SnesSolver):
         u, load = start.u, start.t
         self.load = load
         # A checkpoint of load stepping does not contain these numbers.
-        at_first = (options.measure.step, 0.0, 0.0, 0.0, 0.0)
+        at_first = (options.measure.step, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
-        step, largest_force, self._highest_load, self._carried, reached = known
-        self._measure.restore(reached)
+        step, largest_force, self._highest_load, self._carried = known
+        # Step and value of another measure have no meaning for this one.
+        of_measure = f"measure_{type(options.measure).__name__}"
+        if of_measure in start.resume:
+            self._measure.restore(start.resume[of_measure])
+        else:
+            step = options.measure.step
         self._equilibrium.reference = self._carried
         failures: list[StepResult] = []
         self._balance = balance = EnergyBalance(self.problem, self.problem.state(u, load), start.resume)
@@ -203,9 +208,8 @@ class PathSolver(SnesSolver):
                 step = min(step * GROWTH, options.measure.step)
             work = balance.work
             balance.keep()
-            reached = self._measure.reached(u, load)
-            now = zip(RESUMED, (step, largest_force, self._highest_load, self._carried, reached), strict=True)
-            resume = {**dict(now), **balance.resume}
+            now = zip(RESUMED, (step, largest_force, self._highest_load, self._carried), strict=True)
+            resume = {**dict(now), of_measure: self._measure.reached(u, load), **balance.resume}
             yield Converged(u, load, result, failures, resume, work=work)
             failures = []
             fallen = self._carried <= options.until * largest_force and largest_force > 0.0

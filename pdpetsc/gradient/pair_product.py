@@ -126,15 +126,12 @@ class PairProduct(Product):
 
     @cached_property
     def listed(self) -> FacetSprings:
-        """Return the same product with the vectors of every particle of each group."""
+        """Compute the vectors of every particle of each group."""
         (one, other), rows, (G, *_) = self._pairs.sides, self._pairs.rows, self._vectors
         most = sum(int(np.diff(side.ptr)[of].sum()) for side, of in zip((one, other), rows, strict=True))
         n = 1 + max(int(side.members.max(initial=-1)) for side in (one, other))
-        starts, found, memory = (
-            np.zeros(len(self._start), dtype=np.int64),
-            np.empty(most, dtype=np.int32),
-            np.full(n, -1),
-        )
+        starts, found = np.zeros(len(self._start), dtype=np.int64), np.empty(most, dtype=np.int32)
+        memory = np.full(n, -1)
         stencils = one.ptr, one.members, other.ptr, other.members
         members_of_groups(self._start, *rows, *stencils, memory, starts, found)
         members = found[: starts[-1]].copy()

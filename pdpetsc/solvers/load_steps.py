@@ -11,7 +11,7 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import DamageModel
 from pdpetsc.solvers.geometric_series import GeometricSeries
-from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
+from pdpetsc.solvers.protocol import LOOSE, Converged, OnFailure, Start, StepResult, StepSolver
 
 # Load parameters that differ by less are equal.
 SAME_TIME = 1e-9
@@ -35,8 +35,6 @@ FIRST = 1e-8
 # Otherwise a sweep is solved to this tolerance times the last change of a degradation factor. Damage that is too large
 # in a sweep stays if the bond is unloaded later: with 1e-4, displacements differ by 1e-4.
 SWEPT = 1e-5
-# Tolerance of sweeps if forces have an energy; ten times smaller after a sweep that changed nothing.
-LOOSE = 1e-3
 # Largest number of solves until Newton's solution and the damage agree; then sweeps replace it.
 FOLLOWING = 50
 
@@ -51,8 +49,6 @@ class LoadStepSolver(StepSolver):
     """
 
     steps: Steps | AdaptiveSteps
-    # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
-    asks_for_stability = False
 
     def resume(self, start: Start) -> None:
         """Restore the numbers of a checkpoint, so that the run continues as if it had not stopped (collective)."""
@@ -312,6 +308,7 @@ def settle(
     damage, problem = damage_of(solver), solver.problem
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR if energy else SETTLED
+    # If forces have an energy, the tolerance becomes ten times smaller after a sweep that changed nothing.
     series, change, loose = GeometricSeries(problem), 1.0, LOOSE
     # The last solve, with the iterations of all.
     broken, last = 0, StepResult(True, "", easy=False)

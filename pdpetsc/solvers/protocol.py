@@ -19,6 +19,8 @@ from pdpetsc.problem.state import State
 
 # Tolerance of the response to forces that are not loads.
 RESPONSE = 1e-4
+# Tolerance of intermediate equilibria.
+LOOSE = 1e-3
 # Reason for accepting a residual above the tolerance.
 AT_FLOOR = "residual at the round-off floor"
 
@@ -338,6 +340,8 @@ class StepSolver(Solver):
     t: float = 0.0
     # Whether an equilibrium must be a minimum of the energy. Along a path the load is not constant.
     of_minima: bool = True
+    # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
+    asks_for_stability: bool = False
 
     @property
     def at(self) -> Any:

@@ -15,12 +15,10 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.equilibrium import RESTS, SETTLINGS, UNBALANCED, UNSETTLED, Equilibrium, read_options
-from pdpetsc.solvers.protocol import StepSolver
+from pdpetsc.solvers.protocol import LOOSE, StepSolver
 from pdpetsc.solvers.rigid_bodies import RigidBodies
 from pdpetsc.solvers.unique import refuse_mechanism
 
-# Tolerance of intermediate equilibria.
-LOOSE = 1e-3
 # From this number of iterations on the last tangent is that of the equilibrium but for a small part of the step.
 SEVERAL = 2
 # Tolerance of solves for the motion of loose particles, of which this share then stays in a Newton step.
@@ -52,8 +50,6 @@ class SnesSolver(StepSolver):
     """
 
     unit = "Newton"
-    # Whether steps depend on negative pivots, which are then worth a factorisation of their own.
-    asks_for_stability = False
 
     def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool]) -> None:
         self.problem = problem
@@ -250,32 +246,33 @@ class SnesSolver(StepSolver):
         sought, problem, asks = self._equilibrium, self.problem, self.asks_for_stability
         state = sought.state(self._read(self._x))
 
-        def whole(held: int | None) -> int | None:
-            if held is None or not self._bodies:
-                return held
-            failed = False
-
-            def reply(force: Float) -> Float:
-                nonlocal failed
-                found = self._reply(force)
-                failed |= ksp.getConvergedReason() < 0
-                return found
-
-            found = self._bodies.negative_pivots(state, reply, held)
-            return None if failed and not found else found
-
         changes = not (problem.linear or problem.softens) and problem.inertia is None
         held = sought.negative_pivots(self.snes, ksp)
         if held is not None:
-            found = whole(held)
+            found = self._with_bodies(held, state, ksp)
             if changes and not several and (asks or self.ends or found != 0):
                 sought.factor(state, ksp)
-                found = whole(sought.negative_pivots(self.snes, ksp))
+                found = self._with_bodies(sought.negative_pivots(self.snes, ksp), state, ksp)
             return found
         cheap = self.ends and changes and ksp.getPC().getType() == "mg"
         if (asks or cheap or self._indefinite) and problem.symmetric and (several or not problem.softens):
-            return whole(sought.negative_curvature(state, ksp, changes and not several))
+            return self._with_bodies(sought.negative_curvature(state, ksp, changes and not several), state, ksp)
         return sought.pivots_of_unsymmetric(state, ksp) if asks and not self._bodies else None
+
+    def _with_bodies(self, held: int | None, state: State, ksp: PETSc.KSP) -> int | None:
+        """Add the negative pivots of rigid bodies to those at held motions; None if they are unknown."""
+        if held is None or not self._bodies:
+            return held
+        failed = False
+
+        def reply(force: Float) -> Float:
+            nonlocal failed
+            found = self._reply(force)
+            failed |= ksp.getConvergedReason() < 0
+            return found
+
+        found = self._bodies.negative_pivots(state, reply, held)
+        return None if failed and not found else found
 
     def _answer(self, b: Float, rtol: float = ROUGH) -> Float:
         """Solve the last tangent for forces ``b`` to a tolerance; return the unknowns (n,) [length]."""

@@ -51,8 +51,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     ``cp`` cost only residuals. Up to ten of them, against PETSc's one, reduce the Newton iterations of a cantilever
     under a large tip force from 32 to 10 (first of ten steps).
 
-    If points fail, a search ends when a tenth of the first derivative of the energy along the step is left. The energy
-    then has kinks, and a longer search costs as many residuals again.
+    If points fail or bodies touch, a search ends when a tenth of the first derivative of the energy along the step is
+    left. The energy then has kinks, and a longer search costs as many residuals again. With the stiff forces of contact
+    it would not end before ten steps, since the derivative is round-off.
 
     If options request GAMG without a matrix, it smooths with the tangent itself (``-pc_use_amat``, PETSc's default).
     Short waves of the tangent are softer than those of the nearest neighbours that GAMG coarsens. One Chebyshev step
@@ -73,7 +74,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     limit of the load the tangent is indefinite. If points fail, the preconditioner of two levels does not know the
     softening and stays positive definite, as MINRES needs it, which stores few vectors. Otherwise the preconditioner is
     indefinite too, since the background grid and GAMG solve long waves with their own tangents, and GMRES solves the
-    system. Its restart is long because systems close to the limit need many directions.
+    system. Its restart is long because systems close to the limit need many directions. With contact a restart after 30
+    iterations doubles their number.
 
     With damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as Newton
     converges (Eisenstat1996).
@@ -89,7 +91,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         "snes_max_it": 30,
     }
     of_points = problem.damage is not None and problem.damage.forces_have_energy
-    if of_points:
+    if of_points or problem.stiff:
         defaults["snes_linesearch_rtol"] = 0.1
     if choice.direct:
         defaults |= {
@@ -109,9 +111,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         kind = "minres"
     defaults |= {"ksp_type": kind, "ksp_rtol": 1e-8, "ksp_max_it": 500, "ksp_divtol": GROWN}
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
-        defaults["ksp_pc_side"] = "right"
-        if not solver.of_energy:
-            defaults["ksp_gmres_restart"] = DIRECTIONS
+        defaults |= {"ksp_pc_side": "right", "ksp_gmres_restart": DIRECTIONS}
     if not problem.linear and (problem.damage is None or of_points):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if of_points:

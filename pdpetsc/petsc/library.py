@@ -258,13 +258,13 @@ def start_anew(ksp: PETSc.KSP) -> None:
     ksp.setOperators(mat, preconditioner)
 
 
-def effort(ksp: PETSc.KSP) -> float | None:
-    """Return the iterations per digit of the last linear solve; None if there is none or it failed."""
+def effort(ksp: PETSc.KSP) -> tuple[int, float] | None:
+    """Return the iterations of the last linear solve and its digits; None if there is none or it failed."""
     rtol, iterations = float(ksp.getTolerances()[0]), ksp.getIterationNumber()
     # Setting up the solver for the next solve clears the reason, but not the iterations.
     if ksp.getConvergedReason() < 0 or iterations == 0 or not 0.0 < rtol < 1.0:
         return None
-    return float(iterations / -np.log10(rtol))
+    return int(iterations), float(-np.log10(rtol))
 
 
 def linear_solver(ksp: PETSc.KSP) -> str:

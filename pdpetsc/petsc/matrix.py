@@ -78,7 +78,7 @@ class TangentMatrix(PetscTangent):
         self._filled = -1
         self.diagonal = np.zeros(n * dim)
 
-    def update(self, state: State, effort: float | None = None) -> None:
+    def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
         """Fill the matrix with K. The matrix of a linear problem is filled only if the problem has changed."""
         version = self._assembler.problem.version
         if self._filled == version and self._assembler.problem.linear:

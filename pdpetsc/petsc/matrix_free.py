@@ -18,8 +18,11 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 
-# The preconditioner is rebuilt if a solve needs this multiple of the iterations per digit of the first solve with it.
-HARDER = 1.3
+# The preconditioner is rebuilt if the solves with it have needed this many iterations more than the first ones promised:
+# about what a rebuild costs.
+REBUILD = 20.0
+# Solves with a preconditioner that determine its iterations per digit. The first digits of a smooth load come easily.
+FIRST = 2
 # Estimated bounds of the smoother may be invalid if a particle has become stiffer by this factor.
 STIFFER = 1.05
 
@@ -94,10 +97,10 @@ class MatrixFreeTangent(PetscTangent):
         set_symmetry(self.mat, problem)
         self.mat.setUp()
         self._version = -1
-        self._effort: float | None = None
+        self._effort: tuple[int, float] | None = None
         self._strength, self._n_stiff = np.empty(0), 0
 
-    def update(self, state: State, effort: float | None = None) -> None:
+    def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
         """Update to K at a state. The preconditioner is kept while linear solves do not need more iterations."""
         version = self._problem.version
         if self._problem.linear and self.holds():
@@ -107,20 +110,23 @@ class MatrixFreeTangent(PetscTangent):
         if tangent is None or self._stiffer(tangent):
             with stage(PRECONDITIONER):
                 tangent = self._made_from.fill(state)
-            self._effort = None
+            self._usual, self._solves, self._lost = 0.0, 0, 0.0
             self._strength, self._n_stiff = tangent.strength(), tangent.n_stiff
             self.diagonal = self._made_from.diagonal
         self._product.tangent = tangent
         self._version = version
         self.mat.stateIncrease()
 
-    def _does_well(self, effort: float | None) -> bool:
-        """Return True if the effort is still close to that of the first solve with the preconditioner."""
+    def _does_well(self, effort: tuple[int, float] | None) -> bool:
+        """Return True if the preconditioner has cost fewer iterations than it would cost to rebuild it."""
         if effort is None or self._version < 0:
             return False
-        if self._effort is None:
-            self._effort = effort
-        return effort <= HARDER * self._effort
+        iterations, digits = effort
+        self._solves += 1
+        if self._solves <= FIRST:
+            self._usual = max(self._usual, iterations / digits)
+        self._lost += max(0.0, iterations - self._usual * digits)
+        return self._lost <= REBUILD
 
     def _stiffer(self, tangent: Tangent) -> bool:
         """Return True if a particle is much stiffer than at the estimate of the bounds of the smoother.

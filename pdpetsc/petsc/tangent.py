@@ -32,11 +32,11 @@ class PetscTangent(ABC):
     diagonal: Float
 
     @abstractmethod
-    def update(self, state: State, effort: float | None = None) -> None:
+    def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
         """Update to K at a state.
 
-        ``effort`` is the effort of the last linear solve with it [iterations per digit]. The preconditioning matrix may
-        be kept while the effort does not grow. Without ``effort`` it is rebuilt.
+        ``effort`` are the iterations of the last linear solve with it, and its digits. The preconditioning matrix may
+        be kept while a digit does not need more iterations. Without ``effort`` it is rebuilt.
         """
 
     @abstractmethod

@@ -205,7 +205,7 @@ class Equilibrium:
         force = norm(self._comm, resistance(loose))
         return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
-    def update(self, state: State, effort: float | None = None) -> None:
+    def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
         """Update the tangent to a state; ``effort`` is that of the last linear solve (``PetscTangent.update``)."""
         damage = self.problem.damage
         held = damage is not None and damage.softens and damage.frozen

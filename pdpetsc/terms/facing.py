@@ -21,6 +21,8 @@ from pdpetsc.problem.body import Body
 FACING = 0.5
 # Sort keys of the facets of one particle.
 PER_PARTICLE = 256
+# Corners coincide, and edges are straight, up to this share of the length of an edge.
+SAME = 1e-9
 # Facets of one particle are one part of the surface if the cosine of the angle between their normals exceeds this.
 ALIKE = 0.8
 
@@ -207,9 +209,76 @@ def _side(surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Ma
     rows = np.flatnonzero(mask)
     rows = rows[np.lexsort((key[rows], surface.owner[rows]))]
     entry, ptr = entries_of(surface.ptr, rows)
-    return Side(
+    found = Side(
         surface.x[rows], corners[rows], key[rows], both[rows], surface.owner[rows].astype(np.int32), ptr,
         surface.members[entry], surface.N[entry], G[entry], depth,
+    )  # fmt: skip
+    while len((halves := _halves(found))[0]):
+        found = _joined(found, *halves)
+    return found
+
+
+def _halves(side: Side) -> tuple[GlobalIndex, GlobalIndex, Float]:
+    """Return facets of one particle that are halves of a flat facet with four corners, (n,) each, and these corners.
+
+    No facet is in two pairs. The halves have two corners in common, and each of these lies on a straight edge of the
+    whole facet.
+    """
+    of = side.owner
+    apart = range(1, int(np.bincount(of).max(initial=1)))
+    found = [np.stack([np.flatnonzero(of[s:] == of[:-s]) + to for to in (0, s)]) for s in apart]
+    one, other = np.concatenate([np.empty((2, 0), dtype=np.int64), *found], axis=1)
+    alike = side.both[one] == side.both[other]
+    one, other = one[alike], other[alike]
+    whole, is_whole = np.empty((len(one), 4, 3)), np.zeros(len(one), dtype=bool)
+    # Edges in common have opposite directions.
+    for a in (np.roll(side.corners[one], k, axis=1) for k in range(4)):
+        for b in (np.roll(side.corners[other], k, axis=1) for k in range(4)):
+            size = SAME * np.linalg.norm(a[:, 1] - a[:, 0], axis=1)
+            met = (np.linalg.norm(a[:, :2] - b[:, 1::-1], axis=2) < size[:, None]).all(axis=1)
+            straight = _straight(b[:, 2], a[:, 0], a[:, 3]) & _straight(a[:, 2], a[:, 1], b[:, 3])
+            now = met & straight
+            whole[now] = np.stack([a[:, 2], a[:, 3], b[:, 2], b[:, 3]], axis=1)[now]
+            is_whole |= now
+    one, other, whole = one[is_whole], other[is_whole], whole[is_whole]
+    # A pair is kept if it is the first one of both facets.
+    number = np.arange(len(one))
+    first = np.full(len(of), len(one))
+    np.minimum.at(first, np.concatenate([one, other]), np.concatenate([number, number]))
+    kept = (first[one] == number) & (first[other] == number)
+    return one[kept], other[kept], whole[kept]
+
+
+def _straight(a: Float, b: Float, c: Float) -> Mask:
+    """Return True where the point b lies between a and c (n, 3) on a line."""
+    ab, bc = b - a, c - b
+    product = (ab * bc).sum(axis=1)
+    return np.asarray((product > 0.0) & (np.linalg.norm(np.cross(ab, bc), axis=1) < SAME * product))
+
+
+def _joined(side: Side, one: GlobalIndex, other: GlobalIndex, corners: Float) -> Side:
+    """Return the facets with each ``one`` replaced by the facet with these corners, and without the others.
+
+    Mean weights of both are linear-exact at their common centroid, as the weights of each are at its own.
+    """
+    area, each = side.areas, side.corners.copy()
+    each[one] = corners
+    share = np.zeros(len(area))
+    share[one] = area[other] / (area[one] + area[other])
+    partner = np.arange(len(area))
+    partner[one] = other
+    kept = np.ones(len(area), dtype=bool)
+    kept[other] = False
+    rows = np.flatnonzero(kept)
+    entry, ptr = entries_of(side.ptr, rows)
+    # Facets of one particle have the same members in the same order.
+    of_partner, _ = entries_of(side.ptr, partner[rows])
+    w = np.repeat(share[rows], np.diff(ptr))[:, None]
+    return Side(
+        (1.0 - share[rows, None]) * side.x[rows] + share[rows, None] * side.x[partner[rows]],
+        each[rows], side.key[rows], side.both[rows], side.owner[rows], ptr, side.members[entry],
+        (1.0 - w[:, 0]) * side.N[entry] + w[:, 0] * side.N[of_partner],
+        (1.0 - w) * side.G[entry] + w * side.G[of_partner], side.depth,
     )  # fmt: skip
 
 

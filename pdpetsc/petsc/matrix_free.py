@@ -18,8 +18,8 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 
-# The preconditioner is rebuilt if the solves with it have needed this many iterations more than the first ones promised:
-# about what a rebuild costs.
+# The preconditioner is rebuilt if the solves with it have needed this many iterations more than the first ones did.
+# A rebuild costs about as much.
 REBUILD = 20.0
 # Solves with a preconditioner that determine its iterations per digit. The first digits of a smooth load come easily.
 FIRST = 2

@@ -7,6 +7,7 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.petsc.jacobian import choose
+from pdpetsc.petsc.two_level import TwoLevel
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from tests.commands import results, run, script_on
 from tests.scenes import (
@@ -175,3 +176,24 @@ def test_particles_in_random_order_are_put_near_their_neighbours(rng):
     assert np.array_equal(cloud.x, shuffled[cloud.gid])
     assert np.linalg.norm(np.diff(cloud.x, axis=0), axis=1).mean() < 3.0
     assert np.array_equal(distribute(world(), x, np.ones(len(x)), {}, 1.5).gid, np.arange(len(x)))
+
+
+def test_a_preconditioner_is_rebuilt_when_it_has_cost_as_many_iterations_as_a_rebuild(monkeypatch, tmp_path):
+    """The first digits of a load come easily: a stricter tolerance alone is no reason for a rebuild."""
+    built, fill = [], TwoLevel.fill
+    monkeypatch.setattr(TwoLevel, "fill", lambda self, state: built.append(state.t) or fill(self, state))
+
+    def steps(strain):
+        built.clear()
+        case = pd.Case(
+            particles=pd.LatticeNodes((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.1),
+            material=pd.Hencky(E=1000.0, nu=0.3),
+            conditions=[pd.Clamp("-z"), pd.Displacement("+z", x=0.0, y=0.0, z=strain)],
+            steps=pd.Steps(2),
+        )
+        run = pd.run(case, tmp_path, options={"pd_jacobian": "matfree"})
+        return sum(step["newton_iterations"] for step in run.summary["steps"]), len(built)
+
+    iterations, small = steps(0.01)
+    assert iterations >= 4 and small == 1
+    assert steps(-0.5)[1] > small

@@ -12,6 +12,7 @@ from pdpetsc.declare.region import View
 from pdpetsc.gradient.pair_product import FacetPairs, MovingFacets, PairProduct
 from pdpetsc.kernels.overlap import AREA, QUANTITIES, overlap, overlap_by_fields
 from pdpetsc.problem.assembly import Assembler
+from pdpetsc.terms.facing import Side, _halves
 from tests.commands import Stop, called, results
 
 E, NU = 1000.0, 0.3
@@ -279,6 +280,57 @@ def test_facets_are_beside_each_other_only_if_their_outlines_do_not_overlap(rng)
     some = J[:, AREA].any(axis=(1, 2, 3))
     assert 0.1 * n < some.sum() < 0.9 * n
     np.testing.assert_array_equal(q[:, AREA] > 0.0, some)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_facets_of_a_flat_side_are_joined_to_one_of_each_particle(dim):
+    """A node on a side has one facet there, with the area of its cell, and weights that are linear-exact."""
+    low, n = np.zeros(dim), 4
+    bodies = {
+        name: pd.LatticeNodes(low + z * np.eye(dim)[-1], low + 1.0 + z * np.eye(dim)[-1], 1.0 / n)
+        for name, z in (("lower", 0.0), ("upper", 1.0))
+    }
+    side = "+z" if dim == 3 else "+y"
+    contact = pd.BodyContact(f"lower {side}", f"upper -{side[1]}", name="pair")
+    material = pd.LinearElastic(E=E, nu=NU, **({} if dim == 3 else {"plane": "stress"}))
+    held = [pd.Clamp(f"lower -{side[1]}"), pd.Clamp(f"upper {side}"), contact]
+    problem, term = problem_of(pd.Case(particles=pd.Bodies(bodies), material=material, conditions=held))
+    facets, x = term._search.one, problem.body.cloud.x
+    assert len(facets.x) == len(np.unique(facets.owner)) == (n + 1) ** (dim - 1)
+    on_edge = ((facets.x[:, :-1] < 0.2) | (facets.x[:, :-1] > 0.8)).sum(axis=1)
+    np.testing.assert_allclose(facets.areas, n ** (1.0 - dim) * 0.5**on_edge, rtol=1e-12)
+    N, G = facets.moving.weights[:, 0], facets.moving.weights[:, 1:]
+    placed = np.add.reduceat(N[:, None] * x[facets.members], facets.ptr[:-1])
+    np.testing.assert_allclose(placed, facets.x, atol=1e-12)
+    slopes = np.add.reduceat(x[facets.members][:, :, None] * G[:, None, :], facets.ptr[:-1])
+    # The members of a side of nodes lie in it, so that the gradients are tangential.
+    tangential = np.eye(dim) - np.outer(np.eye(dim)[-1], np.eye(dim)[-1])
+    np.testing.assert_allclose(slopes, np.broadcast_to(tangential, slopes.shape), atol=1e-10)
+    np.testing.assert_allclose(facets.corners[:, :, :dim].mean(axis=1), facets.x, atol=1e-12)
+
+
+def test_facets_are_joined_only_if_they_are_one_flat_facet_with_four_corners():
+    """Two halves are joined; not if they are bent, belong to two particles or to two parts, or leave a step."""
+    flat = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
+    right = flat + np.array([1.0, 0.0, 0.0])
+    bent, longer = right.copy(), right.copy()
+    bent[1:3, 2] += 1e-3
+    longer[2:, 1] += 0.1
+
+    def side(other, owner=(0, 0), both=(False, False)):
+        corners = np.stack([flat, other])
+        return Side(
+            corners.mean(axis=1), corners, np.arange(2), np.array(both), np.array(owner, dtype=np.int32),
+            np.arange(3), np.zeros(2, dtype=np.int32), np.ones(2), np.ones((2, 3)), 1.0,
+        )  # fmt: skip
+
+    one, other, corners = _halves(side(right))
+    assert (one.tolist(), other.tolist()) == ([0], [1])
+    assert {tuple(at) for at in corners[0]} == {(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.0, 1.0, 0.0), (0.0, 1.0, 0.0)}
+    # Seen from outside, the corners stay in turn.
+    assert np.cross(corners[0, 2] - corners[0, 0], corners[0, 3] - corners[0, 1])[2] == pytest.approx(4.0)
+    refused = side(bent), side(longer), side(right, owner=(0, 1)), side(right, both=(True, False)), side(right + 0.1)
+    assert not any(len(_halves(of)[0]) for of in refused)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -20,7 +20,7 @@ from pdpetsc.problem.supports import Supports
 
 # The preconditioner is rebuilt if the solves with it have needed this many iterations more than the first ones did.
 # A rebuild costs about as much.
-REBUILD = 20.0
+REBUILD = 15.0
 # Solves with a preconditioner that determine its iterations per digit. The first digits of a smooth load come easily.
 FIRST = 2
 # Estimated bounds of the smoother may be invalid if a particle has become stiffer by this factor.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,23 +29,20 @@ THROUGH = 0.9
 DEEP = 4.0
 
 
-@dataclass(frozen=True)
-class PairPoints(Points):
-    """Store the points of pairs of facets.
+# Share of the moment of friction that the pressure on each facet balances, with its sign.
+HALVES = np.array([0.5, -0.5])
 
-    Attributes
-    ----------
-    pairs : FacetPairs
-        The pairs.
-    """
 
-    pairs: FacetPairs
+def _parts(pairs: Pairs, traction: Float) -> tuple[Float, Float]:
+    """Return pressure (n,) and friction (n, dim) of tractions (n, dim) [stress]."""
+    p = (traction * pairs.normal).sum(axis=1)
+    return p, traction - p[:, None] * pairs.normal
 
-    def moved(self, u: Float) -> Float:
-        return self.pairs.moved(u)
 
-    def spread(self, force: Float, f: Float) -> None:
-        self.pairs.spread(-force, f)
+def _over(values: Float, pressure: Float) -> Float:
+    """Return values (n, ...) over pressures (n,), 0 without a pressure."""
+    p = pressure.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(np.where(p > 0.0, values, 0.0) / np.where(p > 0.0, p, 1.0))
 
 
 class BodyContactForces(FacetContact):
@@ -105,9 +101,10 @@ class BodyContactForces(FacetContact):
         # Spacing at the facets of both sides: thin walls are not thinner than this.
         apart = cloud.halo.with_ghosts(nearest_distances(body))
         self._local = apart[mine.particle], apart[theirs.particle]
-        # Displacements of local particles at the start of this step.
-        self._before = np.zeros((cloud.n_local, body.dim))
         self._search = Search(cloud, mine, theirs, NEAR * spacing)
+        # Displacements of local particles at the start of this step, and the normals of the facets.
+        self._before = np.zeros((cloud.n_local, body.dim))
+        self._normals = self._search.normals(self._before)
         self._search.leave_out_material(self._before, DEEP * spacing)
         self._search.renew(self._before)
         body.overlap.couple(mine.owner)
@@ -173,14 +170,13 @@ class BodyContactForces(FacetContact):
         pairs = self._pairs(state)
         return state.kept((self, "points", self._search.version), lambda: self._joined_points(pairs))
 
-    def _joined_points(self, pairs: Pairs) -> PairPoints:
-        x = self._search.one.x[pairs.rows] + pairs.one
-        return PairPoints(x, pairs.area, self._multiplier(pairs), self._joined(pairs))
+    def _joined_points(self, pairs: Pairs) -> Points:
+        return Points(self._search.one.x[pairs.rows] + pairs.one, pairs.area, self._multiplier(pairs))
 
-    def _joined(self, pairs: Pairs) -> FacetPairs:
-        """Return pairs with how their facets move."""
+    def _joined(self, pairs: Pairs, shift: Float | float = 0.0) -> FacetPairs:
+        """Return pairs with how their facets move; their points may be shifted (n_pairs, 2, dim) [length]."""
         sides, at = (self._search.one.moving, self._search.other.moving), np.stack([pairs.one, pairs.other], axis=1)
-        return FacetPairs(sides, (pairs.rows, pairs.other_rows), at)
+        return FacetPairs(sides, (pairs.rows, pairs.other_rows), at + shift)
 
     def _gap(self, state: State) -> tuple[Float, Float]:
         pairs = self._pairs(state)
@@ -191,55 +187,116 @@ class BodyContactForces(FacetContact):
         return points.mean(self._gap(state)[0], len(self._owner))[points.of]
 
     def _slip(self, state: State) -> Float:
+        pairs = self._pairs(state)
         if self._mu == 0.0:
-            return np.zeros_like(self._gap(state)[1])
-        u, points = state.u_local, self._points(state)
-        return state.kept((self, "slip", self.version), lambda: points.moved(u - self._before))
+            return np.zeros_like(pairs.normal)
+        change = state.u_local - self._before
+
+        def make() -> Float:
+            apart = self._joined(pairs).moved(change) - pairs.gap[:, None] * pairs.normal
+            return np.asarray(np.einsum("pij,pj->pi", self._across(pairs), apart))
+
+        return state.kept((self, "slip", self.version), make)
+
+    def _across(self, pairs: Pairs) -> Float:
+        """Return the projections across the mean normals at the start of the step (n_pairs, dim, dim)."""
+        n = self._normals[1][pairs.other_rows] - self._normals[0][pairs.rows]
+        size = (n**2).sum(axis=1)
+        return np.asarray(np.eye(self.body.dim) - n[:, :, None] * (n / np.where(size > 0.0, size, 1.0)[:, None])[:, None])
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Subtract the forces of the contact."""
+        touching = self._touching(state)
+        if not len(touching.rows):
+            return
+        pairs = self._pairs(state).chosen(touching.rows)
+        pressure, friction = _parts(pairs, touching.traction)
+        area, shift = pairs.area[:, None], 0.0
+        if self._mu > 0.0:
+            shift = self._shifted(state, pairs, _over(friction, pressure))[0]
+            self._joined(pairs).spread(-area * friction, f)
+        self._joined(pairs, shift).spread(-area * pressure[:, None] * pairs.normal, f)
+
+    def _shifted(self, state: State, pairs: Pairs, slope: Float) -> tuple[Float, Float, Float]:
+        """Compute the shifts of the pressure that balance the moment of friction, for friction over pressure (n, dim).
+
+        Returns
+        -------
+        shift : (n, 2, dim) float64
+            Undeformed vectors in both facets [length].
+        height : (n, 2) float64
+            Distances along the normal that seen along it vanish [length].
+        S : (n, 2, dim, 1 + dim) float64
+            As of ``Search.shifts``.
+        """
+        S, way = self._search.shifts(state.u_local, pairs), pairs.gap[:, None] * slope
+        found = np.einsum("psij,pi,s->psj", S, way, HALVES)
+        return found[:, :, :-1], found[:, :, -1], S
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the derivatives of forces, points and weights."""
-        touching, search = self._touching(state), self._search
-        pairs, n = self._pairs(state).chosen(touching.rows), self.body.cloud.n_owned
-        joined, dim, one = self._joined(pairs), self.body.dim, np.eye(self.body.dim)
-        J = search.rates(state.u_local, pairs)
-        size, flat = len(J), J.reshape(len(J), QUANTITIES, 2 * (1 + dim) * dim)
-        by_points = flat[:, ONE : ONE + dim], flat[:, OTHER : OTHER + dim]
-        # The force of a pair is A t. It depends on the fields, and by slip on the displacements at both points.
-        area, t = pairs.area[:, None, None], touching.traction
-        rates = touching.by_normal @ flat[:, NORMAL : NORMAL + dim]
-        if self._mu > 0.0:
-            change = state.u_local - self._before
-            for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, by_points, strict=True):
-                slopes = side.fields(change)[rows, 1:].transpose(0, 2, 1)
-                rates = rates + sign * touching.by_slip @ (slopes @ by)
-        by_force = area * rates + t[:, :, None] * flat[:, AREA, None]
+        touching, search, u = self._touching(state), self._search, state.u_local
+        pairs, n_owned, dim = self._pairs(state).chosen(touching.rows), self.body.cloud.n_owned, self.body.dim
+        p, tau = _parts(pairs, touching.traction)
+        size, one, area, n, gap = len(p), np.eye(dim), pairs.area[:, None, None], pairs.normal, pairs.gap[:, None, None]
+        fields = 2, 1 + dim, dim
+        J = search.rates(u, pairs).reshape(size, QUANTITIES, 2 * (1 + dim) * dim)
+        by_area, by_gap = J[:, AREA, None], J[:, GAP, None]
+        by_normal, by_points = J[:, NORMAL : NORMAL + dim], [J[:, at : at + dim] for at in (ONE, OTHER)]
         # The pressure of all pairs of a part depends on their mean gap.
         part, first, number = np.unique(self._multiplier(pairs), return_index=True, return_inverse=True)
-        whole = np.bincount(number, pairs.area, len(part))[number]
-        off = pairs.gap - self._felt(state)[touching.rows]
-        by_mean = (pairs.area / whole)[:, None] * flat[:, GAP] + (off / whole)[:, None] * flat[:, AREA]
+        whole = np.bincount(number, pairs.area, len(part))[number][:, None, None]
+        off = (pairs.gap - self._felt(state)[touching.rows])[:, None, None]
+        by_mean = self._c * (area / whole * by_gap + off / whole * by_area)
         owner = search.one.owner[pairs.rows]
-        # The points move with the fields, and the forces with the points.
-        G = np.concatenate([by_force, *by_points], axis=1).reshape(size, 3 * dim, 2, 1 + dim, dim)
-        alone, force = np.arange(size + 1), -pairs.area[:, None] * t
-        pressed = (pairs.area[:, None] * touching.by_pressure)[:, None]
-        found = [
-            PairProduct(joined, owner, alone, n, G, np.tile(-one, (size, 1, 1)), force),
+        parts = owner[first], np.append(first, size)
+
+        def moving(joined: FacetPairs, by_force: Float, by_points: list[Float], force: Float) -> Product:
+            """Return the product of forces at points that move with the fields, without that of the pressure."""
+            G = np.concatenate([by_force, *by_points], axis=1).reshape(size, 3 * dim, *fields)
+            h = np.tile(-one, (size, 1, 1))
+            return PairProduct(joined, owner, np.arange(size + 1), n_owned, G, h, -pairs.area[:, None] * force)
+
+        def pressed(joined: FacetPairs, by_pressure: Float) -> Product:
+            h = area * by_pressure[:, None]
+            return PairProduct(joined, *parts, n_owned, by_mean.reshape(size, 1, *fields), h, stiff=True)
+
+        normal = p[:, None] * n
+        by_force = p[:, None, None] * (area * by_normal + n[:, :, None] * by_area)
+        if self._mu == 0.0:
+            joined = self._joined(pairs)
+            return [moving(joined, by_force, by_points, normal), pressed(joined, n)]
+        # Slip is that of both points, less that of a gap that turns; the points move with the fields.
+        joined, across, change = self._joined(pairs), self._across(pairs), u - self._before
+        by_slip = touching.by_slip @ across
+        at = np.concatenate([np.ones((size, 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
+        by_motion = np.einsum("pim,psc->piscm", by_slip, at)
+        apart = -n[:, :, None] * by_gap - gap * by_normal
+        for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, by_points, strict=True):
+            apart += sign * side.fields(change)[rows, 1:].transpose(0, 2, 1) @ by
+        by_tau = (touching.by_normal - p[:, None, None] * one) @ by_normal + by_slip @ apart
+        # The shift of the pressure.
+        slope, by_pressure = _over(tau, p), touching.by_pressure - n
+        shift, height, S = self._shifted(state, pairs, slope)
+        by_slope = _over(by_tau + by_motion.reshape(apart.shape), p)
+        by_way = HALVES[:, None, None] * (slope[:, :, None] * by_gap + gap * by_slope)[:, None]
+        by_way = (by_way - height[:, :, None, None] * by_normal[:, None]).reshape(size, 2, dim, *fields)
+        for side in range(2):
+            for axis in range(dim):
+                by_way[:, side, axis, side, 1:, axis] -= shift[:, side]
+        by_shift = np.einsum("psij,psif->psjf", S[..., :-1], by_way.reshape(size, 2, *apart.shape[1:]))
+        by_shifted = [by + by_shift[:, side] for side, by in enumerate(by_points)]
+        by_friction = area * by_tau + tau[:, :, None] * by_area
+        slid = np.tile(one, (size, 1, 1))
+        return [
+            moving(self._joined(pairs, shift), by_force, by_shifted, normal),
+            moving(joined, by_friction, by_points, tau),
+            pressed(self._joined(pairs, self._shifted(state, pairs, by_pressure)[0]), n),
+            pressed(joined, by_pressure),
             PairProduct(
-                joined,
-                owner[first],
-                np.append(first, size),
-                n,
-                self._c * by_mean.reshape(size, 1, 2, 1 + dim, dim),
-                pressed,
-                stiff=True,
+                joined, owner, np.arange(size + 1), n_owned, -area[:, :, :, None, None] * by_motion, slid, stiff=True
             ),
         ]
-        if self._mu > 0.0:
-            at = np.concatenate([np.ones((size, 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
-            G = np.einsum("pim,psc->piscm", -area * touching.by_slip, at)
-            found.append(PairProduct(joined, owner, alone, n, G, np.tile(one, (size, 1, 1)), stiff=True))
-        return found
 
     def stiffest(self, state: State) -> Sequence[Product]:
         """Return blocks of all facets of both parts as if each was pressed and stuck.
@@ -260,6 +317,7 @@ class BodyContactForces(FacetContact):
 
     def _step_from(self, state: State) -> None:
         self._before = state.u_local.copy()
+        self._normals = self._search.normals(self._before)
 
     def follow(self, state: State) -> bool:
         """Update which facets are near; return False if nothing touches before and after."""
@@ -284,7 +342,7 @@ class BodyContactForces(FacetContact):
             return ""
         deep = self._search.passed(u, most)
         deep = deep.chosen(deep.gap <= -self._through(deep))
-        before = deep.gap - (deep.normal * self._joined_points(deep).moved(change)).sum(axis=1)
+        before = deep.gap - (deep.normal * self._joined(deep).moved(change)).sum(axis=1)
         passed = count_nonzero(comm, before > -self._through(deep))
         return f"bodies of {self._name} passed through each other in one step" if passed else ""
 

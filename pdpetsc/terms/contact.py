@@ -242,6 +242,18 @@ class ContactForces(FacetContact):
     def _rotation(self, state: State) -> Float:
         return self._seen(state)[1]
 
+    def add_force(self, state: State, f: Float) -> None:
+        """Subtract the forces of the contact."""
+        if len(self._touching(state).rows):
+            self._points(state).spread(self._forces(state), f)
+
+    def _forces(self, state: State) -> Float:
+        """Compute the forces on the points (n_points, dim) [force] (collective)."""
+        rows, area = self._touching(state).rows, self._points(state).area
+        force = np.zeros((len(area), self.body.dim))
+        force[rows] = area[rows, None] * self._in_space(state)
+        return force
+
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the blocks of the facets in contact."""
         touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._near(state)[1]

@@ -79,7 +79,7 @@ class ContactProduct(FacetSprings):
 
 
 @dataclass(frozen=True)
-class Points(ABC):
+class Points:
     """Store points of contact on the facets of this rank.
 
     Attributes
@@ -95,14 +95,6 @@ class Points(ABC):
     x: Float
     area: Float
     of: GlobalIndex
-
-    @abstractmethod
-    def moved(self, u: Float) -> Float:
-        """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
-
-    @abstractmethod
-    def spread(self, force: Float, f: Float) -> None:
-        """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
 
     def mean(self, values: Float, n: int, counted: Float | float = 1.0) -> Float:
         """Compute the mean of values of points (n_points,) for each of n multipliers, 0 where there is no point."""
@@ -139,11 +131,13 @@ class FixedPoints(Points):
         return FixedPoints(self.x[rows], self.area[rows], self.of[rows], stencils, self.weights[entry])
 
     def moved(self, u: Float) -> Float:
+        """Compute the relative displacements (n_points, dim) [length] from those of local particles (n_local, dim)."""
         found = np.empty((len(self.area), 1, u.shape[1]))
         carry_all(self.stencils.point_ptr, self.stencils.members, self.weights[:, None], u, found)
         return found[:, 0]
 
     def spread(self, force: Float, f: Float) -> None:
+        """Subtract forces on the points (n_points, dim) from a residual of local particles (n_local, dim)."""
         of = self.stencils
         spread(of.point_ptr, of.members, self.weights[:, None], force.any(axis=1), -force[:, None], f)
 
@@ -266,18 +260,6 @@ class FacetContact(Term):
     def _in_space(self, state: State) -> Float:
         """Compute the tractions at the points in contact (m, dim) [stress] (collective)."""
         return np.asarray(self._touching(state).traction @ self._rotation(state).T)
-
-    def add_force(self, state: State, f: Float) -> None:
-        """Subtract the forces of the contact."""
-        if len(self._touching(state).rows):
-            self._points(state).spread(self._forces(state), f)
-
-    def _forces(self, state: State) -> Float:
-        """Compute the forces on all points (n_points, dim) [force] (collective)."""
-        rows, area = self._touching(state).rows, self._points(state).area
-        force = np.zeros((len(area), self.body.dim))
-        force[rows] = area[rows, None] * self._in_space(state)
-        return force
 
     def energy(self, state: State) -> float:
         """Return ``sum_p A_p ((p^2 - p0^2) / c + |tau|^2 / c_t) / 2`` of this rank [energy]."""

@@ -106,6 +106,11 @@ class Side:
         return np.asarray(np.unique(self.owner.astype(np.int64) * max(kind, 1) + number, return_inverse=True)[1])
 
     @cached_property
+    def edges(self) -> Float:
+        """Return the vectors from the middle of one side to that of the opposite one (n, dim - 1, dim) [length]."""
+        return _edges(self.corners)[:, : self.x.shape[1] - 1, : self.x.shape[1]]
+
+    @cached_property
     def moving(self) -> MovingFacets:
         """Return how the facets move with the particles."""
         return MovingFacets(self.ptr, self.members, np.concatenate([self.N[:, None], self.G], axis=1))
@@ -145,6 +150,12 @@ class Pairs:
     def chosen(self, mask: Mask | GlobalIndex) -> Pairs:
         """Return some of the pairs."""
         return Pairs(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
+
+
+def _edges(corners: Float) -> Float:
+    """Return the vectors from the middle of one side of facets to that of the opposite one (n, 2, 3) [length]."""
+    diagonals = corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 3]
+    return np.stack([0.5 * (diagonals[0] + diagonals[1]), 0.5 * (diagonals[0] - diagonals[1])], axis=1)
 
 
 def both_ends(one: Side, other: Side, pairs: Pairs) -> tuple[GlobalIndex, LocalIndex, Float]:
@@ -441,6 +452,34 @@ class Search:
         )
         J[:, AREA] *= self.one.depth
         return J
+
+    def shifts(self, u: Float, pairs: Pairs) -> Float:
+        """Compute the matrices from vectors in space to undeformed ones within the facets of pairs (not collective).
+
+        The undeformed vector c is in the plane of the facet. Seen along the normal n, it deforms to the vector w:
+        ``w = F c + l n``.
+
+        Returns
+        -------
+        (n_pairs, 2, dim, 1 + dim) float64
+            ``w S = (c, l)`` for both facets.
+        """
+        found, n = [], pairs.normal[:, None]
+        for side, y, rows in zip(
+            (self.one, self.other), self._deformed(u), (pairs.rows, pairs.other_rows), strict=True
+        ):
+            edges, dim = side.edges[rows], n.shape[2]
+            inverse = np.linalg.inv(np.concatenate([_edges(y[rows])[:, : dim - 1, :dim], n], axis=1))
+            found.append(np.concatenate([inverse[:, :, :-1] @ edges, inverse[:, :, -1:]], axis=2))
+        return np.stack(found, axis=1)
+
+    def normals(self, u: Float) -> tuple[Float, Float]:
+        """Compute the unit normals (n, dim) of the facets of both sides (not collective)."""
+        found = []
+        for y in self._deformed(u):
+            a = np.cross(y[:, 2] - y[:, 0], y[:, 3] - y[:, 1])[:, : self._cloud.dim]
+            found.append(a / np.linalg.norm(a, axis=1)[:, None])
+        return found[0], found[1]
 
     def _deformed(self, u: Float) -> tuple[Float, Float]:
         """Return the deformed corners of both sides [length]."""

@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.gradient.pair_product import FacetPairs, PairProduct
 from pdpetsc.gradient.products import Product
-from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER, QUANTITIES
+from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
@@ -43,6 +43,41 @@ def _over(values: Float, pressure: Float) -> Float:
     """Return values (n, ...) over pressures (n,), 0 without a pressure."""
     p = pressure.reshape(-1, *(1,) * (values.ndim - 1))
     return np.asarray(np.where(p > 0.0, values, 0.0) / np.where(p > 0.0, p, 1.0))
+
+
+def _shifts(S: Float, pairs: Pairs, slope: Float) -> tuple[Float, Float]:
+    """Compute the shifts of the pressure that balance the moment of friction, for friction over pressure (n, dim).
+
+    The tractions ``p n + tau`` and their opposite, a gap g apart, have the moment ``g n x tau``. Without it, the
+    pressure acts at points that are ``g tau / p`` apart across the normal.
+
+    Returns
+    -------
+    (n, 2, dim), (n, 2) float64
+        Undeformed vectors in both facets, and their height as of ``Search.within`` [length].
+    """
+    found = np.einsum("psij,pi,s->psj", S, pairs.gap[:, None] * slope, HALVES)
+    return found[:, :, :-1], found[:, :, -1]
+
+
+class _Rates:
+    """Derivatives of the quantities of pairs by the fields of both facets, in one row each.
+
+    Parameters
+    ----------
+    J : (n, 11, 2, 1 + dim, dim) float64
+        As of ``Search.rates``.
+    """
+
+    def __init__(self, J: Float, dim: int) -> None:
+        self._fields = J.shape[2:]
+        J = J.reshape(*J.shape[:2], 2 * (1 + dim) * dim)
+        self.area, self.gap, self.normal = J[:, AREA, None], J[:, GAP, None], J[:, NORMAL : NORMAL + dim]
+        self.points = [J[:, at : at + dim] for at in (ONE, OTHER)]
+
+    def shaped(self, by_fields: Float) -> Float:
+        """Return derivatives (..., 2 (1 + dim) dim) by displacement and gradient (..., 2, 1 + dim, dim)."""
+        return by_fields.reshape(*by_fields.shape[:-1], *self._fields)
 
 
 class BodyContactForces(FacetContact):
@@ -202,7 +237,9 @@ class BodyContactForces(FacetContact):
         """Return the projections across the mean normals at the start of the step (n_pairs, dim, dim)."""
         n = self._normals[1][pairs.other_rows] - self._normals[0][pairs.rows]
         size = (n**2).sum(axis=1)
-        return np.asarray(np.eye(self.body.dim) - n[:, :, None] * (n / np.where(size > 0.0, size, 1.0)[:, None])[:, None])
+        return np.asarray(
+            np.eye(self.body.dim) - n[:, :, None] * (n / np.where(size > 0.0, size, 1.0)[:, None])[:, None]
+        )
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the contact."""
@@ -210,92 +247,71 @@ class BodyContactForces(FacetContact):
         if not len(touching.rows):
             return
         pairs = self._pairs(state).chosen(touching.rows)
-        pressure, friction = _parts(pairs, touching.traction)
-        area, shift = pairs.area[:, None], 0.0
+        p, tau = _parts(pairs, touching.traction)
+        area, joined = pairs.area[:, None], self._joined(pairs)
         if self._mu > 0.0:
-            shift = self._shifted(state, pairs, _over(friction, pressure))[0]
-            self._joined(pairs).spread(-area * friction, f)
-        self._joined(pairs, shift).spread(-area * pressure[:, None] * pairs.normal, f)
-
-    def _shifted(self, state: State, pairs: Pairs, slope: Float) -> tuple[Float, Float, Float]:
-        """Compute the shifts of the pressure that balance the moment of friction, for friction over pressure (n, dim).
-
-        Returns
-        -------
-        shift : (n, 2, dim) float64
-            Undeformed vectors in both facets [length].
-        height : (n, 2) float64
-            Distances along the normal that seen along it vanish [length].
-        S : (n, 2, dim, 1 + dim) float64
-            As of ``Search.shifts``.
-        """
-        S, way = self._search.shifts(state.u_local, pairs), pairs.gap[:, None] * slope
-        found = np.einsum("psij,pi,s->psj", S, way, HALVES)
-        return found[:, :, :-1], found[:, :, -1], S
+            joined.spread(-area * tau, f)
+            shift, _ = _shifts(self._search.within(state.u_local, pairs), pairs, _over(tau, p))
+            joined = self._joined(pairs, shift)
+        joined.spread(-area * p[:, None] * pairs.normal, f)
 
     def linearise(self, state: State) -> Sequence[Product]:
         """Return the derivatives of forces, points and weights."""
         touching, search, u = self._touching(state), self._search, state.u_local
-        pairs, n_owned, dim = self._pairs(state).chosen(touching.rows), self.body.cloud.n_owned, self.body.dim
-        p, tau = _parts(pairs, touching.traction)
-        size, one, area, n, gap = len(p), np.eye(dim), pairs.area[:, None, None], pairs.normal, pairs.gap[:, None, None]
-        fields = 2, 1 + dim, dim
-        J = search.rates(u, pairs).reshape(size, QUANTITIES, 2 * (1 + dim) * dim)
-        by_area, by_gap = J[:, AREA, None], J[:, GAP, None]
-        by_normal, by_points = J[:, NORMAL : NORMAL + dim], [J[:, at : at + dim] for at in (ONE, OTHER)]
+        pairs, dim = self._pairs(state).chosen(touching.rows), self.body.dim
+        rates = _Rates(search.rates(u, pairs), dim)
+        (p, tau), n, area, joined = _parts(pairs, touching.traction), pairs.normal, pairs.area, self._joined(pairs)
+        by_pressure: Float = p[:, None, None] * (area[:, None, None] * rates.normal + n[:, :, None] * rates.area)
         # The pressure of all pairs of a part depends on their mean gap.
         part, first, number = np.unique(self._multiplier(pairs), return_index=True, return_inverse=True)
-        whole = np.bincount(number, pairs.area, len(part))[number][:, None, None]
-        off = (pairs.gap - self._felt(state)[touching.rows])[:, None, None]
-        by_mean = self._c * (area / whole * by_gap + off / whole * by_area)
-        owner = search.one.owner[pairs.rows]
-        parts = owner[first], np.append(first, size)
+        share = area / np.bincount(number, area, len(part))[number]
+        off = share / area * (pairs.gap - self._felt(state)[touching.rows])
+        by_mean = self._c * (share[:, None, None] * rates.gap + off[:, None, None] * rates.area)
+        owner, n_owned, each = search.one.owner[pairs.rows], self.body.cloud.n_owned, np.arange(len(p) + 1)
+        opposite = np.tile(-np.eye(dim), (len(p), 1, 1))
 
-        def moving(joined: FacetPairs, by_force: Float, by_points: list[Float], force: Float) -> Product:
-            """Return the product of forces at points that move with the fields, without that of the pressure."""
-            G = np.concatenate([by_force, *by_points], axis=1).reshape(size, 3 * dim, *fields)
-            h = np.tile(-one, (size, 1, 1))
-            return PairProduct(joined, owner, np.arange(size + 1), n_owned, G, h, -pairs.area[:, None] * force)
+        def moving(joined: FacetPairs, by_force: Float, by_points: list[Float], traction: Float) -> PairProduct:
+            """Return the product of forces that depend on the fields, and move with their points."""
+            G = rates.shaped(np.concatenate([by_force, *by_points], axis=1))
+            return PairProduct(joined, owner, each, n_owned, G, opposite, -area[:, None] * traction)
 
-        def pressed(joined: FacetPairs, by_pressure: Float) -> Product:
-            h = area * by_pressure[:, None]
-            return PairProduct(joined, *parts, n_owned, by_mean.reshape(size, 1, *fields), h, stiff=True)
+        def pressed(joined: FacetPairs, by_pressure: Float) -> PairProduct:
+            """Return the product of forces that depend on the pressure."""
+            h = area[:, None, None] * by_pressure[:, None]
+            return PairProduct(
+                joined, owner[first], np.append(first, len(p)), n_owned, rates.shaped(by_mean), h, stiff=True
+            )
 
-        normal = p[:, None] * n
-        by_force = p[:, None, None] * (area * by_normal + n[:, :, None] * by_area)
         if self._mu == 0.0:
-            joined = self._joined(pairs)
-            return [moving(joined, by_force, by_points, normal), pressed(joined, n)]
-        # Slip is that of both points, less that of a gap that turns; the points move with the fields.
-        joined, across, change = self._joined(pairs), self._across(pairs), u - self._before
-        by_slip = touching.by_slip @ across
-        at = np.concatenate([np.ones((size, 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
+            return [moving(joined, by_pressure, rates.points, p[:, None] * n), pressed(joined, n)]
+        # Slip depends on the displacements at both points, on these, and on the gap that turns.
+        by_slip = touching.by_slip @ self._across(pairs)
+        gap, change = pairs.gap[:, None, None], u - self._before
+        by_place = -n[:, :, None] * rates.gap - gap * rates.normal
+        for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, rates.points, strict=True):
+            by_place += sign * side.fields(change)[rows, 1:].transpose(0, 2, 1) @ by
+        by_place = (touching.by_normal - p[:, None, None] * np.eye(dim)) @ rates.normal + by_slip @ by_place
+        at = np.concatenate([np.ones((len(p), 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
         by_motion = np.einsum("pim,psc->piscm", by_slip, at)
-        apart = -n[:, :, None] * by_gap - gap * by_normal
-        for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, by_points, strict=True):
-            apart += sign * side.fields(change)[rows, 1:].transpose(0, 2, 1) @ by
-        by_tau = (touching.by_normal - p[:, None, None] * one) @ by_normal + by_slip @ apart
-        # The shift of the pressure.
-        slope, by_pressure = _over(tau, p), touching.by_pressure - n
-        shift, height, S = self._shifted(state, pairs, slope)
-        by_slope = _over(by_tau + by_motion.reshape(apart.shape), p)
-        by_way = HALVES[:, None, None] * (slope[:, :, None] * by_gap + gap * by_slope)[:, None]
-        by_way = (by_way - height[:, :, None, None] * by_normal[:, None]).reshape(size, 2, dim, *fields)
-        for side in range(2):
+        # The pressure is shifted by friction over pressure.
+        S, slope, tau_by_pressure = search.within(u, pairs), _over(tau, p), touching.by_pressure - n
+        by_slope = _over(by_place + by_motion.reshape(by_place.shape), p)
+        shift, height = _shifts(S, pairs, slope)
+        by_shift = HALVES[:, None, None] * (slope[:, :, None] * rates.gap + gap * by_slope)[:, None]
+        by_shift = rates.shaped(by_shift - height[:, :, None, None] * rates.normal[:, None])
+        for facet in range(2):
             for axis in range(dim):
-                by_way[:, side, axis, side, 1:, axis] -= shift[:, side]
-        by_shift = np.einsum("psij,psif->psjf", S[..., :-1], by_way.reshape(size, 2, *apart.shape[1:]))
-        by_shifted = [by + by_shift[:, side] for side, by in enumerate(by_points)]
-        by_friction = area * by_tau + tau[:, :, None] * by_area
-        slid = np.tile(one, (size, 1, 1))
+                by_shift[:, facet, axis, facet, 1:, axis] -= shift[:, facet]
+        by_shift = np.einsum("psij,psif->psjf", S[..., :-1], by_shift.reshape(len(p), 2, *by_place.shape[1:]))
+        shifted = [by + by_shift[:, facet] for facet, by in enumerate(rates.points)]
+        along = area[:, None, None] * by_place + tau[:, :, None] * rates.area
+        G = -area[:, None, None, None, None] * by_motion
         return [
-            moving(self._joined(pairs, shift), by_force, by_shifted, normal),
-            moving(joined, by_friction, by_points, tau),
-            pressed(self._joined(pairs, self._shifted(state, pairs, by_pressure)[0]), n),
-            pressed(joined, by_pressure),
-            PairProduct(
-                joined, owner, np.arange(size + 1), n_owned, -area[:, :, :, None, None] * by_motion, slid, stiff=True
-            ),
+            moving(self._joined(pairs, shift), by_pressure, shifted, p[:, None] * n),
+            moving(joined, along, rates.points, tau),
+            pressed(self._joined(pairs, _shifts(S, pairs, tau_by_pressure)[0]), n),
+            pressed(joined, tau_by_pressure),
+            PairProduct(joined, owner, each, n_owned, G, -opposite, stiff=True),
         ]
 
     def stiffest(self, state: State) -> Sequence[Product]:

@@ -453,7 +453,7 @@ class Search:
         J[:, AREA] *= self.one.depth
         return J
 
-    def shifts(self, u: Float, pairs: Pairs) -> Float:
+    def within(self, u: Float, pairs: Pairs) -> Float:
         """Compute the matrices from vectors in space to undeformed ones within the facets of pairs (not collective).
 
         The undeformed vector c is in the plane of the facet. Seen along the normal n, it deforms to the vector w:

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy
 
 import pdpetsc as pd
 from pdpetsc.declare.region import View
@@ -112,27 +113,57 @@ def problem_of(case):
     return problem, term
 
 
+def two_blocks(dim, friction, **lattice):
+    """Return blocks of unlike spacings in touch, both held."""
+    up, one = "xyz"[dim - 1], np.eye(dim)[-1]
+    lower = pd.LatticeNodes((0.0,) * dim, (1.0,) * dim, 0.25)
+    upper = pd.LatticeNodes(tuple(one), tuple(one + 1.0), 0.2)
+    conditions = [pd.Clamp(f"lower -{up}"), pd.Clamp(f"upper +{up}")]
+    pair = pd.BodyContact(f"lower +{up}", f"upper -{up}", friction, penetration=0.5, name="pair")
+    return pd.Case(
+        particles=pd.Bodies({"lower": lower, "upper": upper}), material=pd.NeoHookean(E, NU),
+        conditions=[*conditions, pair],
+    )  # fmt: skip
+
+
+def bent(x, rng, upper):
+    """Return displacements that bend and turn two blocks, press the upper one into the lower one, and shear it."""
+    dim = x.shape[1]
+    u = 1e-3 * rng.uniform(-1.0, 1.0, x.shape)
+    u[:, -1] += 0.05 * (x[:, 0] - 0.4) ** 2 - 0.02 * upper
+    u[:, 0] += 0.02 * upper * rng.uniform(0.1, 1.0)
+    tilt = 0.3 * rng.standard_normal((dim, dim))
+    turn = scipy.linalg.expm(tilt - tilt.T)
+    return (x + u) @ turn.T - x
+
+
+@pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("friction", [0.0, 0.3, 5.0, np.inf])
-def test_forces_have_their_tangent_and_balance(friction, rng):
-    problem, term = problem_of(stacked(friction=friction))
-    n, dim = problem.body.cloud.n_owned, problem.dim
-    x = problem.body.cloud.x
-    upper = problem.body.cloud.sets["upper"]
-    u = 2e-3 * rng.uniform(-1.0, 1.0, (n, dim)) - 0.01 * upper[:, None] * (0.3, 1.0)
-    term.commit(problem.state(0.0 * u, 0.0))
-    term.start_from(problem.state(0.0 * u, 0.0))
+def test_forces_have_their_tangent_and_balance(friction, dim, rng):
+    """Bent and turned surfaces that slide or stick, in a step that begins with friction."""
+    problem, term = problem_of(two_blocks(dim, friction))
+    n, x, upper = problem.body.cloud.n_owned, problem.body.cloud.x, problem.body.cloud.sets["upper"]
+    v = bent(x, rng, upper)
+    term.start_from(problem.state(0.0 * v, 0.0))
+    term.commit(problem.state(0.0 * v, 0.0))
+    term.start_from(problem.state(v, 0.5))
+    term.commit(problem.state(v + 1e-4 * rng.uniform(-1.0, 1.0, v.shape), 0.5))
+    term.start_from(problem.state(v, 0.5))
+    u = v + 1e-3 * rng.uniform(-1.0, 1.0, v.shape)
 
     def force(u):
         f = np.zeros((n, dim))
         term.add_force(problem.state(u, 0.9), f)
         return f
 
-    f, y = force(u), x + u
-    assert np.abs(f).max() > 1.0
-    np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-10 * np.abs(f).sum())
-    moment = (y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum()
-    # Friction acts on both facets, which are a penetration apart.
-    assert abs(moment) < (1e-6 if friction == 0.0 else 1e-2) * np.abs(f).sum()
+    f, y = force(u), np.zeros((n, 3))
+    y[:, :dim] = x + u
+    assert np.abs(f).max() > 0.1
+    along = np.linalg.norm(term._touching(problem.state(u, 0.9)).traction, axis=1)
+    assert (along > 0.0).sum() > 3
+    np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-14 * np.abs(f).sum())
+    moment = np.cross(y, np.pad(f, ((0, 0), (0, 3 - dim)))).sum(axis=0)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-14 * np.abs(f).sum())
     one, h = rng.uniform(-1.0, 1.0, (n, dim)), 1e-7
     products = term.linearise(problem.state(u, 0.9))
 
@@ -146,6 +177,79 @@ def test_forces_have_their_tangent_and_balance(friction, rng):
         return (force(u + h * du) - force(u - h * du)) / (2.0 * h)
 
     assert np.abs(difference(one) - exact(one)).max() < 1e-7 * np.abs(exact(one)).max()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_turn_of_both_bodies_is_no_slip(dim, rng):
+    """Surfaces in touch that turn together, with a gap between them: there is pressure but no friction."""
+    problem, term = problem_of(two_blocks(dim, 0.3))
+    x, upper = problem.body.cloud.x, problem.body.cloud.sets["upper"]
+    v = bent(x, rng, upper)
+    term.start_from(problem.state(0.0 * v, 0.0))
+    term.commit(problem.state(0.0 * v, 0.0))
+    term.start_from(problem.state(v, 0.5))
+    upwards = np.triu(np.ones((dim, dim)), 1)
+    turn = scipy.linalg.expm(0.2 * (upwards - upwards.T))
+    state = problem.state((x + v) @ turn.T - x, 0.9)
+    touching, normal = term._touching(state), term._gap(state)[1]
+    p = (touching.traction * normal[touching.rows]).sum(axis=1)
+    assert p.max() > 1.0
+    np.testing.assert_allclose(touching.traction, p[:, None] * normal[touching.rows], atol=1e-10 * p.max())
+
+
+SHEARED = """
+import numpy as np
+import pdpetsc as pd
+
+def case(dim=2, friction=0.3, away=0.1):
+    up, one = "xyz"[dim - 1], np.eye(dim)[-1]
+    pressed, pushed = pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 1.0]), pd.Table([0.0, 0.5, 1.0], [0.0, 0.0, 1.0])
+    lower, upper, origin = f"lower -{up}", f"upper +{up}", (0.0,) * dim
+    moments = {"m": {}} if dim == 2 else {f"m{axis}": {"axis": axis} for axis in "xyz"}
+    held = [pd.Displacement(upper, y=0.0)] if dim == 3 else []
+    sides = {"lower": lower, "upper": upper}
+    return pd.Case(
+        particles=pd.Bodies({
+            "lower": pd.LatticeNodes(origin, (1.0,) * dim, 0.25),
+            "upper": pd.LatticeNodes(tuple(one), tuple(one + 1.0), 0.2),
+        }),
+        material=pd.NeoHookean(E=1000.0, nu=0.3),
+        conditions=[
+            pd.Clamp(lower),
+            pd.Displacement(upper, **{up: -0.1}, schedule=pressed),
+            pd.Displacement(upper, x=away, schedule=pushed),
+            *held,
+            pd.BodyContact(f"lower +{up}", f"upper -{up}", friction, name="pair"),
+        ],
+        history={
+            f"{of} {name}": pd.ReactionMoment(side, origin, **more)
+            for of, side in sides.items() for name, more in moments.items()
+        },
+        results=lambda h: {
+            "moment": max(abs(h[f"lower {name}"][-1] + h[f"upper {name}"][-1]) for name in moments),
+            "force": abs(h[f"pair_{up}"][-1]), "friction": abs(h["pair_x"][-1]),
+        },
+        options={"snes_rtol": 1e-12},
+        steps=pd.Steps(4),
+    )
+"""
+
+
+@pytest.mark.processors
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("words", [["away=0.1"], ["away=0.01"], ["friction=inf"]])
+def test_the_supports_of_two_bodies_have_opposite_moments(dim, words, tmp_path):
+    """Blocks that slide or stick, on one and on two ranks."""
+    path = tmp_path / "sheared.py"
+    path.write_text(SHEARED)
+    one, two = (
+        results(path, f"dim={dim}", *words, ranks=ranks, output=tmp_path / str(ranks))["results"] for ranks in (1, 2)
+    )
+    for found in (one, two):
+        assert found["friction"] > 5e-3 * found["force"] > 0.1
+        assert found["moment"] < 1e-9 * found["force"]
+    assert two["force"] == pytest.approx(one["force"], rel=1e-8)
+    assert two["friction"] == pytest.approx(one["friction"], rel=1e-8)
 
 
 @pytest.mark.parametrize("join", [pd.BodyContact, pd.Tied])

@@ -864,3 +864,34 @@ def test_a_tool_that_turns_freely_does_not_pass_through_a_body(tmp_path):
     )  # fmt: skip
     with pytest.raises(pd.SolveError, match="spacings deep in the body at step time"):
         pd.run(case, tmp_path)
+
+
+@pytest.mark.parametrize("friction", [0.3, np.inf])
+@pytest.mark.parametrize("cells", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_tool_feels_the_opposite_force_and_moment(dim, cells, friction, rng):
+    """Forces on the particles have the resultant and the moment of those of the tool, where it touches the facets."""
+    low, high, up = (0.0,) * dim, (1.0,) * (dim - 1) + (0.5,), "xyz"[dim - 1]
+    turn = 0.2 if dim == 2 else (0.1, -0.1, 0.2)
+    move = (0.03, *(0.0,) * (dim - 2), -0.05)
+    tool = pd.RigidSphere((0.5,) * (dim - 1) + (1.5,), 1.0, move=move, turn=turn, about=(0.5,) * dim)
+    case = pd.Case(
+        particles=(pd.Lattice if cells else pd.LatticeNodes)(low, high, 0.125),
+        material=pd.NeoHookean(E, NU),
+        conditions=[pd.Displacement(pd.region.Slab(up, high=0.1), **dict.fromkeys("xyz"[:dim], 0.0))],
+    )
+    case = dataclasses.replace(case, conditions=[*case.conditions, pd.Contact(f"+{up}", tool, friction)])
+    problem = pd.prepare(case).problem
+    (term,) = (one for one in problem.terms if type(one).__name__ == "ContactForces")
+    cloud = problem.body.cloud
+    term.commit(problem.state(np.zeros_like(cloud.x), 0.0))
+    state = problem.state(1e-3 * rng.uniform(-1.0, 1.0, cloud.x.shape), 1.0)
+    f = np.zeros_like(cloud.x)
+    term.add_force(state, f)
+    on_tool = term.tool_forces(state)
+    assert np.abs(on_tool[:, 0]).max() > 0.1
+    found = []
+    for place, force in ((cloud.x + state.u, -f), (term._x + term._moved(state), on_tool)):
+        arm, force = (np.pad(one, ((0, 0), (0, 3 - dim))) for one in (place, force))
+        found.append(np.concatenate([force, np.cross(arm, force)], axis=1).sum(axis=0))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-13 * np.abs(f).sum())

@@ -202,3 +202,26 @@ def test_fragments_are_listed_with_mass_and_velocity(tmp_path):
     assert sorted(table["x"]) == pytest.approx([1.0, 3.5], abs=0.1)
     pd.run(dataclasses.replace(case, damage=None), tmp_path)
     assert (tmp_path / "earlier" / "fragments.csv").exists() and not (tmp_path / "fragments.csv").exists()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_forces_have_no_resultant_and_no_moment(dim, rng):
+    """Two blocks at random displacements, pressed together, sheared and turned."""
+    low, high, up, contact = (0.0,) * dim, (1.0,) * dim, np.eye(dim)[-1], pd.ParticleContact()
+    case = pd.Case(
+        particles=pd.Bodies({"one": pd.Lattice(low, high, 0.25), "two": pd.Lattice(low + up, high + up, 0.25)}),
+        material=pd.NeoHookean(E=1.0, nu=0.3),
+        conditions=[*(pd.Displacement(of, **dict.fromkeys("xyz"[:dim], 0.0)) for of in ("one", "two")), contact],
+    )
+    problem = pd.prepare(case).problem
+    (term,) = (one for one in problem.terms if type(one).__name__ == "ParticleContactForces")
+    cloud = problem.body.cloud
+    u = 0.02 * rng.uniform(-1.0, 1.0, cloud.x.shape) - np.where(cloud.body[:, None] == 1, 0.1 * up, 0.0)
+    turn = np.linalg.qr(np.eye(dim) + 0.5 * rng.standard_normal((dim, dim)))[0]
+    y, f = (cloud.x + u) @ turn.T, np.zeros((len(u), 3))
+    term.add_force(problem.state(y - cloud.x, 1.0), f[:, :dim])
+    size = np.abs(f).sum()
+    assert size > 0.1
+    np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-13 * size)
+    moment = np.cross(np.pad(y, ((0, 0), (0, 3 - dim))), f).sum(axis=0)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-13 * size)

@@ -17,7 +17,7 @@ from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
-from pdpetsc.terms.facet_contact import OVERLAP, ContactProduct, FacetContact, Points
+from pdpetsc.terms.facet_contact import OVERLAP, STICKING, ContactProduct, FacetContact, Points
 from pdpetsc.terms.facing import Pairs, Search, corners_of, sides_of
 from pdpetsc.terms.shared_space import bodies_of, shared_point
 
@@ -137,9 +137,9 @@ class BodyContactForces(FacetContact):
         apart = cloud.halo.with_ghosts(nearest_distances(body))
         self._local = apart[mine.particle], apart[theirs.particle]
         self._search = Search(cloud, mine, theirs, NEAR * spacing)
-        # Displacements of local particles at the start of this step, and the normals of the facets.
+        # Displacements of local particles at the start of this step, and axes that turn with the facets.
         self._before = np.zeros((cloud.n_local, body.dim))
-        self._normals = self._search.normals(self._before)
+        self._frames = self._search.frames(self._before)
         self._search.leave_out_material(self._before, DEEP * spacing)
         self._search.renew(self._before)
         body.overlap.couple(mine.owner)
@@ -221,25 +221,26 @@ class BodyContactForces(FacetContact):
         points = self._points(state)
         return points.mean(self._gap(state)[0], len(self._owner))[points.of]
 
-    def _slip(self, state: State) -> Float:
-        pairs = self._pairs(state)
-        if self._mu == 0.0:
-            return np.zeros_like(pairs.normal)
-        change = state.u_local - self._before
-
-        def make() -> Float:
-            apart = self._joined(pairs).moved(change) - pairs.gap[:, None] * pairs.normal
-            return np.asarray(np.einsum("pij,pj->pi", self._across(pairs), apart))
-
-        return state.kept((self, "slip", self.version), make)
+    def _sticking(self, state: State) -> Float:
+        pairs, points = self._pairs(state), self._points(state)
+        apart = self._joined(pairs).moved(state.u_local - self._before) - pairs.gap[:, None] * pairs.normal
+        slip = np.einsum("pij,pj->pi", self._across(pairs), apart)
+        turned = self._turned(state, pairs)
+        return np.asarray(np.einsum("pij,pj->pi", turned, self._tau[points.of] - STICKING * self._c * slip))
 
     def _across(self, pairs: Pairs) -> Float:
         """Return the projections across the mean normals at the start of the step (n_pairs, dim, dim)."""
-        n = self._normals[1][pairs.other_rows] - self._normals[0][pairs.rows]
-        size = (n**2).sum(axis=1)
-        return np.asarray(
-            np.eye(self.body.dim) - n[:, :, None] * (n / np.where(size > 0.0, size, 1.0)[:, None])[:, None]
-        )
+        one, other = (frames[:, 2, : self.body.dim] for frames in self._frames)
+        n = other[pairs.other_rows] - one[pairs.rows]
+        size = (n**2).sum(axis=1)[:, None]
+        n_over_size = n / np.where(size > 0.0, size, 1.0)
+        return np.asarray(np.eye(self.body.dim) - n[:, :, None] * n_over_size[:, None])
+
+    def _turned(self, state: State, pairs: Pairs) -> Float:
+        """Return the rotations of the first facets of pairs since the start of the step (n_pairs, dim, dim)."""
+        now, before = self._search.frames(state.u_local)[0], self._frames[0]
+        turned = now[pairs.rows].transpose(0, 2, 1) @ before[pairs.rows]
+        return np.asarray(turned[:, : self.body.dim, : self.body.dim])
 
     def add_force(self, state: State, f: Float) -> None:
         """Subtract the forces of the contact."""
@@ -285,12 +286,14 @@ class BodyContactForces(FacetContact):
         if self._mu == 0.0:
             return [moving(joined, by_pressure, rates.points, p[:, None] * n), pressed(joined, n)]
         # Slip depends on the displacements at both points, on these, and on the gap that turns.
-        by_slip = touching.by_slip @ self._across(pairs)
+        by_slip = -STICKING * self._c * touching.by_trial @ self._turned(state, pairs) @ self._across(pairs)
         gap, change = pairs.gap[:, None, None], u - self._before
         by_place = -n[:, :, None] * rates.gap - gap * rates.normal
         for sign, side, rows, by in zip((1.0, -1.0), joined.sides, joined.rows, rates.points, strict=True):
             by_place += sign * side.fields(change)[rows, 1:].transpose(0, 2, 1) @ by
-        by_place = (touching.by_normal - p[:, None, None] * np.eye(dim)) @ rates.normal + by_slip @ by_place
+        turns = search.turns(u, pairs, self._sticking(state)[touching.rows]).reshape(by_place.shape)
+        by_place = by_slip @ by_place + touching.by_trial @ turns
+        by_place += (touching.by_normal - p[:, None, None] * np.eye(dim)) @ rates.normal
         at = np.concatenate([np.ones((len(p), 2, 1)), joined.at], axis=2) * np.array([1.0, -1.0])[:, None]
         by_motion = np.einsum("pim,psc->piscm", by_slip, at)
         # The pressure is shifted by friction over pressure.
@@ -333,7 +336,7 @@ class BodyContactForces(FacetContact):
 
     def _step_from(self, state: State) -> None:
         self._before = state.u_local.copy()
-        self._normals = self._search.normals(self._before)
+        self._frames = self._search.frames(self._before)
 
     def follow(self, state: State) -> bool:
         """Update which facets are near; return False if nothing touches before and after."""

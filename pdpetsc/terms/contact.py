@@ -21,7 +21,7 @@ from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.chosen_facets import ChosenFacets
-from pdpetsc.terms.facet_contact import OVERLAP, FacetContact, FixedPoints
+from pdpetsc.terms.facet_contact import OVERLAP, STICKING, FacetContact, FixedPoints
 from pdpetsc.terms.shared_space import bodies_of
 
 # Smallest and largest number of places between the ends of a step at which a tool may not lie within the body; they are
@@ -235,9 +235,10 @@ class ContactForces(FacetContact):
     def _gap(self, state: State) -> tuple[Float, Float]:
         return self._near(state)[1][:2]
 
-    def _slip(self, state: State) -> Float:
+    def _sticking(self, state: State) -> Float:
         rows = self._near(state)[0]
-        return np.asarray(self._seen(state)[0][rows] - self._slid[rows])
+        slip = self._seen(state)[0][rows] - self._slid[rows]
+        return np.asarray(self._tau[self._points(state).of] - STICKING * self._c * slip)
 
     def _rotation(self, state: State) -> Float:
         return self._seen(state)[1]
@@ -258,7 +259,8 @@ class ContactForces(FacetContact):
         """Return the blocks of the facets in contact."""
         touching, R, (_, n, H) = self._touching(state), self._rotation(state), self._near(state)[1]
         n, H = n[touching.rows], H[touching.rows]
-        blocks = self._c * touching.by_pressure[:, :, None] * n[:, None, :] - touching.by_normal @ H - touching.by_slip
+        blocks = STICKING * touching.by_trial + touching.by_pressure[:, :, None] * n[:, None, :]
+        blocks = self._c * blocks - touching.by_normal @ H
         return [self._points(state).product(self.body.cloud.n_owned, touching.rows, R @ blocks @ R.T)]
 
     def stiffest(self, state: State) -> Sequence[Product]:

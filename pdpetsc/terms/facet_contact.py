@@ -46,15 +46,15 @@ class Touching(NamedTuple):
         The points in contact.
     traction : (m, dim) float64
         [stress].
-    by_pressure, by_normal, by_slip : (m, dim), (m, dim, dim), (m, dim, dim) float64
-        Derivatives by the pressure [-], the normal [stress] and the slip [stress / length].
+    by_pressure, by_normal, by_trial : (m, dim), (m, dim, dim), (m, dim, dim) float64
+        Derivatives by the pressure [-], the normal [stress] and the traction that would stick [-].
     """
 
     rows: GlobalIndex
     traction: Float
     by_pressure: Float
     by_normal: Float
-    by_slip: Float
+    by_trial: Float
 
 
 class ContactProduct(FacetSprings):
@@ -210,10 +210,10 @@ class FacetContact(Term):
         """Compute gaps (n_points,) [length] and normals (n_points, dim) of the points (collective)."""
 
     @abstractmethod
-    def _slip(self, state: State) -> Float:
-        """Compute the displacements of the points since the last converged step, relative to what they touch.
+    def _sticking(self, state: State) -> Float:
+        """Compute the tractions ``tau_0 - c_t s`` of points that stick, across the normal after projection.
 
-        (n_points, dim) [length] (collective).
+        (n_points, dim) [stress] (collective).
         """
 
     def _rotation(self, state: State) -> Float:
@@ -230,15 +230,15 @@ class FacetContact(Term):
         return self._gap(state)[0]
 
     def _tractions(self, state: State) -> Touching:
-        of, slip, n = self._points(state).of, self._slip(state), self._gap(state)[1]
+        of, n = self._points(state).of, self._gap(state)[1]
         pressure = self._p[of] - self._c * self._felt(state)
         # Points that just touch have no pressure yet, and resist.
         rows = np.flatnonzero(pressure > -TOUCH * self._c * self._spacing)
         n, p, one = n[rows], np.maximum(pressure[rows], 0.0), np.eye(self.body.dim)
         traction, by_pressure, by_normal = p[:, None] * n, n, p[:, None, None] * one
-        by_slip = np.zeros_like(by_normal)
+        by_trial = np.zeros_like(by_normal)
         if self._mu > 0.0:
-            along = self._tau[of[rows]] - STICKING * self._c * slip[rows]
+            along = self._sticking(state)[rows]
             across = one - n[:, :, None] * n[:, None, :]
             trial = np.einsum("pij,pj->pi", across, along)
             size = np.linalg.norm(trial, axis=1)
@@ -254,8 +254,8 @@ class FacetContact(Term):
             traction = traction + share[:, None] * trial
             by_pressure = n + np.where(slides & math.isfinite(self._mu), self._mu, 0.0)[:, None] * e
             by_normal = by_normal + kept @ turned
-            by_slip = -STICKING * self._c * kept @ across
-        return Touching(rows, traction, by_pressure, by_normal, by_slip)
+            by_trial = kept @ across
+        return Touching(rows, traction, by_pressure, by_normal, by_trial)
 
     def _in_space(self, state: State) -> Float:
         """Compute the tractions at the points in contact (m, dim) [stress] (collective)."""

@@ -158,6 +158,13 @@ def _edges(corners: Float) -> Float:
     return np.stack([0.5 * (diagonals[0] + diagonals[1]), 0.5 * (diagonals[0] - diagonals[1])], axis=1)
 
 
+def _frames(edges: Float) -> Float:
+    """Return the axes of facets with edges (n, 2, 3): along the first, across it, and the normal (n, 3, 3)."""
+    first, n = edges[:, 0], np.cross(edges[:, 0], edges[:, 1])
+    first, n = (one / np.linalg.norm(one, axis=1)[:, None] for one in (first, n))
+    return np.stack([first, np.cross(n, first), n], axis=1)
+
+
 def both_ends(one: Side, other: Side, pairs: Pairs) -> tuple[GlobalIndex, LocalIndex, Float]:
     """Return the particles that both points of pairs move with, those of the one first.
 
@@ -473,13 +480,37 @@ class Search:
             found.append(np.concatenate([inverse[:, :, :-1] @ edges, inverse[:, :, -1:]], axis=2))
         return np.stack(found, axis=1)
 
-    def normals(self, u: Float) -> tuple[Float, Float]:
-        """Compute the unit normals (n, dim) of the facets of both sides (not collective)."""
-        found = []
-        for y in self._deformed(u):
-            a = np.cross(y[:, 2] - y[:, 0], y[:, 3] - y[:, 1])[:, : self._cloud.dim]
-            found.append(a / np.linalg.norm(a, axis=1)[:, None])
-        return found[0], found[1]
+    def frames(self, u: Float) -> tuple[Float, Float]:
+        """Compute axes that turn with the facets of both sides, in rows (n, 3, 3) (not collective).
+
+        The first is along an edge, the last is the normal.
+        """
+        one, other = (_frames(_edges(y)) for y in self._deformed(u))
+        return one, other
+
+    def turns(self, u: Float, pairs: Pairs, vectors: Float) -> Float:
+        """Compute the derivatives of vectors that turn with the first facets of pairs (not collective).
+
+        ``vectors`` (n, dim) are those at the displacements ``u``.
+
+        Returns
+        -------
+        (n, dim, 2, 1 + dim, dim) float64
+            By displacement and gradient of both facets, as of ``rates``.
+        """
+        dim, side, rows = self._cloud.dim, self.one, pairs.rows
+        edges = _edges(side.deformed(u)[rows])
+        _, along, n = _frames(edges).transpose(1, 0, 2)
+        dual = np.linalg.inv(np.concatenate([edges, n[:, None]], axis=1))[:, :, :2].transpose(0, 2, 1)
+        # Rotation for a unit change of each component of each edge.
+        spin = -n[:, None, :, None] * np.cross(n[:, None], dual)[:, :, None]
+        spin[:, 0] += (along / np.linalg.norm(edges[:, 0], axis=1)[:, None])[:, :, None] * n[:, None]
+        whole = np.zeros((len(rows), 1, 1, 3))
+        whole[..., :dim] = vectors[:, None, None]
+        turned = np.cross(spin, whole)[:, : dim - 1, :dim, :dim]
+        found = np.zeros((len(rows), dim, 2, 1 + dim, dim))
+        found[:, :, 0, 1:] = np.einsum("pak,paji->pikj", side.edges[rows], turned)
+        return found
 
     def _deformed(self, u: Float) -> tuple[Float, Float]:
         """Return the deformed corners of both sides [length]."""

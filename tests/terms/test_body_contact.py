@@ -149,7 +149,8 @@ def test_forces_have_their_tangent_and_balance(friction, dim, rng):
     term.start_from(problem.state(v, 0.5))
     term.commit(problem.state(v + 1e-4 * rng.uniform(-1.0, 1.0, v.shape), 0.5))
     term.start_from(problem.state(v, 0.5))
-    u = v + 1e-3 * rng.uniform(-1.0, 1.0, v.shape)
+    upwards = np.triu(np.ones((dim, dim)), 1)
+    u = (x + v) @ scipy.linalg.expm(0.2 * (upwards - upwards.T)).T - x + 1e-3 * rng.uniform(-1.0, 1.0, v.shape)
 
     def force(u):
         f = np.zeros((n, dim))
@@ -195,6 +196,37 @@ def test_a_turn_of_both_bodies_is_no_slip(dim, rng):
     p = (touching.traction * normal[touching.rows]).sum(axis=1)
     assert p.max() > 1.0
     np.testing.assert_allclose(touching.traction, p[:, None] * normal[touching.rows], atol=1e-10 * p.max())
+
+
+@pytest.mark.parametrize("axis", [None, (0.0, 0.0, 1.5), (1.0, 0.5, 0.0)])
+def test_blocks_that_turn_together_keep_their_friction(axis, tmp_path):
+    """Pressed by t = 0.25, sheared without sliding by t = 0.5, then turned or held, by 1.5 or 1.1 rad."""
+    dim = 2 if axis is None else 3
+    up, about = np.eye(dim)[-1], np.array([0.5] * (dim - 1) + [1.0])
+    spin = np.array([(0.0, -1.5), (1.5, 0.0)]) if axis is None else np.cross(np.eye(3), axis)
+    ends = pd.region.Where(lambda x: np.abs(x[:, -1] - 1.0) > 0.99)
+    case = two_blocks(dim, 0.3)
+    pair = dataclasses.replace(case.conditions[2], penetration=1e-7, reach=10.0)
+
+    def turn(t):
+        return scipy.linalg.expm(spin * max(2.0 * t - 1.0, 0.0))
+
+    def end(component, turned):
+        def displacement(x, t):
+            way = -0.05 * min(4.0 * t, 1.0) * up + 0.02 * min(max(4.0 * t - 1.0, 0.0), 1.0) * np.eye(dim)[0]
+            y = x + np.where(x[:, -1:] > 1.0, way, 0.0) - about
+            return ((y @ turn(t).T if turned else y) + about - x)[:, component]
+
+        return displacement
+
+    force = []
+    for turned in (False, True):
+        moved = pd.Displacement(ends, **{name: end(component, turned) for component, name in enumerate("xyz"[:dim])})
+        scene = dataclasses.replace(case, conditions=[moved, pair], steps=pd.Steps(times=(0.25, 0.5, 0.65, 0.8, 1.0)))
+        history = pd.run(scene, tmp_path / str(turned)).history
+        force.append(np.array([history[f"pair_{name}"][-1] for name in "xyz"[:dim]]))
+    assert abs(force[0][0]) > 1.0
+    np.testing.assert_allclose(force[1] @ turn(1.0), force[0], atol=1e-6)
 
 
 SHEARED = """

@@ -48,8 +48,9 @@ class BodyContact(TwoParts):
     Facets of both parts that face each other and overlap, seen along the mean of their normals, form pairs. Both
     facets of a pair feel opposite forces at the middle of the overlap: the pressure ``p = <p0 - stiffness g>``, and
     friction as for ``Contact``, times the area of the overlap. ``g`` is the mean gap over the overlaps of the facets of
-    one particle. A uniform pressure is transferred exactly, whatever the spacings of both sides, and forces and moments
-    balance. The pairs are those of the deformed surfaces, with an exact tangent, which is not symmetric.
+    one particle. A uniform pressure is transferred exactly, whatever the spacings of both sides. Forces and moments of
+    both bodies balance to round-off, and friction turns with the surfaces. The pairs are those of the deformed
+    surfaces, with an exact tangent, which is not symmetric.
 
     Parameters
     ----------

@@ -86,7 +86,14 @@ class BodyContactForces(FacetContact):
     The points are the middles of the overlaps of the deformed facets. The facet of the one part feels ``A (p n + tau)``
     at its point, the facet of the other the opposite force, with the area A of the overlap. The pressure p is that of
     the mean gap over all overlaps of the facets of one particle that look alike: on unlike curved surfaces the gap
-    differs from overlap to overlap. All of these follow the displacement. Which facets are near enough is held during a
+    differs from overlap to overlap.
+
+    Friction acts at both points, a gap g apart along n. So that both forces have no moment, the pressure acts beside
+    them, seen along n: at ``g tau / (2 p)`` on the one facet and at the opposite on the other. The slip s is that of
+    the two points, less the turn of the gap between them. Slip and ``tau_0`` are those in the surfaces at the start of
+    the step, and turn with the first facet: a rigid motion of both bodies changes no force.
+
+    All of these follow the displacement. Which facets are near enough is held during a
     solve, since it determines the sparsity of the matrix; ``follow`` updates it.
 
     Parameters

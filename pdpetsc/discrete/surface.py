@@ -234,7 +234,7 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     _refuse_open(cloud, x, area)
     _refuse_far(cloud, x, owner)
     corners = packed[kept, 2 * dim + len(names) :].reshape(-1, 4, 3) if len(parts) > 3 else None
-    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner), corners)
+    return Surface(x, area, owner, tagged, *interpolation(cloud, families, x, area, owner), corners)
 
 
 def _refuse_far(cloud: Cloud, x: Float, owner: GlobalIndex) -> None:
@@ -379,7 +379,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
         )
 
 
-def _interpolated(
+def interpolation(
     cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
     """Compute ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""

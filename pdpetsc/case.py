@@ -24,6 +24,7 @@ from pdpetsc.declare.solvers import AnySolver, Newton, Opening
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.tools import Contact
 from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, Natural, name_of, refuse_signature, shown
 from pdpetsc.errors import CaseError
@@ -200,9 +201,20 @@ class Case(Declared):
     @property
     def needs_surface(self) -> bool:
         """Return True if required weights, loads, quantities or terms need the facets of the surface."""
-        asked = [*self.conditions, *self.terms, *self.history.values()]
         required = self.weights is not None and self.weights.required
-        return required or any(getattr(one, "on_surface", False) for one in asked)
+        return required or bool(self._on_surface)
+
+    @property
+    def only_touched(self) -> bool:
+        """Return True if nothing but rigid tools needs the surface, for which that of an outer layer is enough."""
+        required = self.weights is not None and self.weights.required
+        return not required and all(isinstance(one, Contact) for one in self._on_surface)
+
+    @property
+    def _on_surface(self) -> list[object]:
+        """Return the loads, quantities and terms that need the facets of the surface."""
+        asked = [*self.conditions, *self.terms, *self.history.values()]
+        return [one for one in asked if getattr(one, "on_surface", False)]
 
     @property
     def gradients(self) -> Scheme:

@@ -77,6 +77,10 @@ class NoConformingWeights(CaseError):
     """Families are too small for weights that satisfy the divergence theorem."""
 
 
+class UnknownSurface(CaseError):
+    """The particles have no cells whose faces are known."""
+
+
 class SolveError(PdpetscError, RuntimeError):
     """A load step did not converge; everything up to the last converged step is on disk."""
 
@@ -155,8 +159,11 @@ class RunError(PdpetscError, RuntimeError):
 # Error classes that every rank can rebuild; classes defined in a case file are unknown on other ranks.
 KINDS: dict[str, type[PdpetscError]] = {
     kind.__name__: kind
-    for kind in (PdpetscError, CaseError, FlatFamilies, SolveError, CheckError, OutputError, Interrupted, RunError)
-}
+    for kind in (
+        PdpetscError, CaseError, FlatFamilies, UnknownSurface, SolveError, CheckError, OutputError, Interrupted,
+        RunError,
+    )
+}  # fmt: skip
 
 
 def notice(error: PdpetscError) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from pdpetsc.declare.region import SIDES, Region, View
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.tiling import Cells, boxes, lattice, spacings, voronoi
 from pdpetsc.declared import Declared, Positive, real_numbers, shown
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, UnknownSurface
 
 # Relative tolerance of a side that must be a whole number of cells [-].
 WHOLE_CELLS = 1e-6
@@ -94,7 +94,7 @@ class Particles(Declared, ABC):
         CaseError
             The faces of the cells are unknown.
         """
-        raise CaseError(
+        raise UnknownSurface(
             f"{type(self).__name__} has no known surface, as conforming weights and surface loads need. Use a Lattice "
             "or a Mesh, give facets=pd.Facets(...), or use weights=pd.Standard() and give each Traction a normal and "
             "an area."

@@ -55,8 +55,8 @@ def outer_layer(cloud: Cloud, families: Families, thickness: float) -> Surface:
     """
     n, dim = cloud.n_owned, cloud.dim
     size = (cloud.volume / (thickness if dim < 3 else 1.0)) ** (1.0 / dim)
-    rows, normal = _normals(cloud, families, size)
-    x, area = _cut(cloud, families, size, rows, normal)
+    rows, normal, level = _normals(cloud, families, size)
+    x, area = _cut(cloud, families, size, rows, normal, level)
     kept = area > LEAST * size[rows] ** (dim - 1)
     rows, normal, x, area = rows[kept], normal[kept], x[kept], area[kept]
     x += cloud.x[rows]
@@ -77,10 +77,9 @@ def _normals(cloud: Cloud, families: Families, size: Float) -> tuple[GlobalIndex
     outer = cosine <= EMPTY
     rows, side = np.nonzero(outer)
     anyone = cloud.halo.with_ghosts(outer.any(axis=1))
-    own = _planes(cloud, families, size, anyone, rows, axes[rows, side])
-    fitted = np.zeros((n, 2, dim))
-    fitted[rows, side] = own
-    fitted = _with_ghosts(cloud, fitted)
+    fitted, levels = np.zeros((n, 2, dim)), np.zeros((n, 2))
+    fitted[rows, side], levels[rows, side] = _planes(cloud, families, size, anyone, rows, axes[rows, side])
+    fitted, levels = _with_ghosts(cloud, fitted), cloud.halo.with_ghosts(levels)
     # The planes of outer particles beside each outer particle, and its own ones.
     mine = np.flatnonzero(outer.any(axis=1))
     entry, ptr = entries_of(families.indptr, mine)
@@ -89,19 +88,20 @@ def _normals(cloud: Cloud, families: Families, size: Float) -> tuple[GlobalIndex
     xi = (cloud.x[other] - cloud.x[of]) / size[of][:, None]
     near = np.linalg.norm(xi, axis=1) <= BESIDE
     of, other, xi = (np.repeat(values[near], 2, axis=0) for values in (of, other, xi))
-    normal = fitted[other, np.arange(len(other)) % 2]
-    on_it = normal.any(axis=1) & (np.abs((xi * normal).sum(axis=1)) <= ON_PLANE)
-    of, xi, normal = of[on_it], xi[on_it], normal[on_it]
+    alternate = np.arange(len(other)) % 2
+    normal, level = fitted[other, alternate], levels[other, alternate] + (xi * size[of][:, None] * fitted[other, alternate]).sum(axis=1)
+    on_it = normal.any(axis=1) & (np.abs(level) <= ON_PLANE * size[of])
+    of, xi, normal, level = of[on_it], xi[on_it], normal[on_it], level[on_it]
     free = _cosines(cloud, families, of, normal) <= EMPTY
-    of, xi, normal = of[free], xi[free], normal[free]
+    of, xi, normal, level = of[free], xi[free], normal[free], level[free]
     order = np.lexsort((np.round((xi**2).sum(axis=1), 6), of))
-    found = _different(of[order], normal[order])
+    found = _different(of[order], normal[order], level[order])
     # An outer particle without such a plane has the axis of its cone.
     alone = np.isin(rows, found[0], invert=True)
-    return _with_sides(cloud, families, *_sorted([found, (rows[alone], axes[rows, side][alone])]))
+    return _with_sides(cloud, families, *_sorted([found, (rows[alone], axes[rows, side][alone], np.zeros(alone.sum()))]))
 
 
-def _with_sides(cloud: Cloud, families: Families, of: GlobalIndex, normal: Float) -> tuple[GlobalIndex, Float]:
+def _with_sides(cloud: Cloud, families: Families, of: GlobalIndex, normal: Float, level: Float) -> tuple[GlobalIndex, Float, Float]:
     """Return normals with those of edges too narrow for a plane: away from the family, across the normals so far."""
     rows = np.unique(of)
     every = _of_each(of, normal, rows)
@@ -119,13 +119,13 @@ def _with_sides(cloud: Cloud, families: Families, of: GlobalIndex, normal: Float
     some = size > FLAT * far
     rows, away = rows[some], away[some] / size[some, None]
     some = _cosines(cloud, families, rows, away) <= EMPTY
-    return _sorted([(of, normal), (rows[some], away[some])])
+    return _sorted([(of, normal, level), (rows[some], away[some], np.zeros(some.sum()))])
 
 
-def _sorted(parts: list[tuple[GlobalIndex, Float]]) -> tuple[GlobalIndex, Float]:
-    of, normal = (np.concatenate(one) for one in zip(*parts, strict=True))
+def _sorted(parts: list[tuple[GlobalIndex, Float, Float]]) -> tuple[GlobalIndex, Float, Float]:
+    of, normal, level = (np.concatenate(one) for one in zip(*parts, strict=True))
     order = np.argsort(of, kind="stable")
-    return of[order], normal[order]
+    return of[order], normal[order], level[order]
 
 
 def _of_each(of: GlobalIndex, normal: Float, rows: GlobalIndex) -> Float:
@@ -142,7 +142,7 @@ def _numbers(of: GlobalIndex) -> GlobalIndex:
 
 def _planes(
     cloud: Cloud, families: Families, size: Float, outer: Mask, rows: GlobalIndex, axes: Float
-) -> Float:
+) -> tuple[Float, Float]:
     """Return the normals (m, dim) of planes through outer particles near those of ``rows``, 0 where there is none."""
     entry, ptr = entries_of(families.indptr, rows)
     of, other = row_of_entries(ptr), families.neighbours[entry]
@@ -163,27 +163,29 @@ def _planes(
         extent, found = np.linalg.eigh(square - mean[:, :, None] * mean[:, None, :])
         turned = np.where((found[:, :, 0] * normal).sum(axis=1) < 0.0, -1.0, 1.0)
         normal = turned[:, None] * found[:, :, 0]
-    return np.where((extent[:, 1] >= WIDE)[:, None], normal, 0.0)
+    level = np.clip((mean * normal).sum(axis=1), -ON_PLANE, ON_PLANE) * size[rows]
+    return np.where((extent[:, 1] >= WIDE)[:, None], normal, 0.0), level
 
 
-def _different(of: GlobalIndex, normal: Float) -> tuple[GlobalIndex, Float]:
+def _different(of: GlobalIndex, normal: Float, level: Float) -> tuple[GlobalIndex, Float, Float]:
     """Return the first normal of each particle, the first one that differs from it, and so on."""
-    taken: list[tuple[GlobalIndex, Float]] = [(of[:0], normal[:0])]
+    taken: list[tuple[GlobalIndex, Float, Float]] = [(of[:0], normal[:0], level[:0])]
     for _ in range(MOST - 1):
         one, first, back = np.unique(of, return_index=True, return_inverse=True)
-        taken.append((one, normal[first]))
+        taken.append((one, normal[first], level[first]))
         left = (normal * normal[first[back]]).sum(axis=1) < OTHER_SIDE
-        of, normal = of[left], normal[left]
-    return np.concatenate([one for one, _ in taken]), np.concatenate([one for _, one in taken])
+        of, normal, level = of[left], normal[left], level[left]
+    return _sorted(taken)
 
 
 def _cut(
-    cloud: Cloud, families: Families, size: Float, rows: GlobalIndex, normal: Float
+    cloud: Cloud, families: Families, size: Float, rows: GlobalIndex, normal: Float, level: Float
 ) -> tuple[Float, Float]:
     """Return the centroids of facets (m, dim), relative to their particles, and their areas (collective)."""
     n, dim = cloud.n_owned, cloud.dim
     number = _numbers(rows)
-    every = _with_ghosts(cloud, _of_each(rows, normal, np.arange(n)))
+    offset = 0.5 * size[rows] + level
+    every = _with_ghosts(cloud, _of_each(rows, 2.0 * offset[:, None] * normal, np.arange(n)))
     x, area = np.zeros((len(rows), dim)), np.zeros(len(rows))
     for first in range(0, len(rows), AT_ONCE):
         part = slice(first, first + AT_ONCE)
@@ -199,14 +201,14 @@ def _cut(
         which, kind = np.nonzero(every[all_from].any(axis=2))
         itself = (which < len(chosen)) & (kind == number[part][np.minimum(which, len(chosen) - 1)])
         which, kind = which[~itself], kind[~itself]
-        outside = base[which] + size[all_from[which]][:, None] * every[all_from[which], kind]
+        outside = base[which] + every[all_from[which], kind]
         of, points = np.concatenate([of, all_of[which]]), np.concatenate([xi, outside])
         order = np.argsort(of, kind="stable")
         starts = starts_of(np.bincount(of, minlength=len(chosen)))
         # The axes across a normal are the other right singular vectors.
         across = np.linalg.svd(normal[part, None, :])[2][:, 1:]
         cut_planes(
-            normal[part], 0.5 * size[chosen], HALF * size[chosen], across, starts, points[order], x[part], area[part]
+            normal[part], offset[part], HALF * size[chosen], across, starts, points[order], x[part], area[part]
         )
     return x, area
 

@@ -55,8 +55,9 @@ from pdpetsc.discrete.memory import (
     refuse_beyond_memory,
 )
 from pdpetsc.discrete.selection import select
+from pdpetsc.discrete.outer_layer import outer_layer
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, UnknownSurface
 from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.gradient.lattice_gradient import LatticeGradient
@@ -231,9 +232,12 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
         try:
             surface = _surface(case, cloud, families)
         except CaseError as error:
-            if case.needs_surface:  # declared, not by default
+            if not case.needs_surface:
+                weights = Unsuited(str(error))
+            elif isinstance(error, UnknownSurface) and case.only_touched:
+                surface = outer_layer(cloud, families, case.particles.thickness)
+            else:  # declared, not by default
                 raise
-            weights = Unsuited(str(error))
     chosen = replace(case, weights=weights)
     thermals = case.thermals if case.expands else None
     body = Body(cloud, families, surface, case.particles.thickness, thermals)

@@ -97,7 +97,7 @@ class Particles(Declared, ABC):
         raise UnknownSurface(
             f"{type(self).__name__} has no known surface, as conforming weights and surface loads need. Use a Lattice "
             "or a Mesh, give facets=pd.Facets(...), or use weights=pd.Standard() and give each Traction a normal and "
-            "an area."
+            "an area. The outer layer of the particles is a surface for pd.Contact with rigid tools only."
         )
 
     def stairs(self, part: int, parts: int) -> int:

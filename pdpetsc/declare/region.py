@@ -21,6 +21,8 @@ SIDES: tuple[Side, ...] = get_args(Side)
 EQUALLY_NEAR = 1e-6
 # Particles this near to the outermost side are on it, as a share of the extent of the body.
 ON_FACE = 1e-9
+# Cosine of the largest angle between the normals of an uneven side and its axis.
+NEARLY = 0.866
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,15 @@ class View:
         Smallest value of a number over all parts of the cloud.
     normal : (n, dim) float64 or None
         Outward normals of any length, if a region selects facets.
+    uneven : float
+        Depth of one side of an uneven surface [length]; its normals are then within 30 degrees of the axis.
     """
 
     x: Float
     sets: Mapping[str, Mask]
     minimum: Callable[[float], float]
     normal: Float | None = None
+    uneven: float = 0.0
 
 
 class Region(Declared, ABC):
@@ -286,9 +291,10 @@ class Face(Region):
         # Every rank takes the same minima, also one that owns no particle of the layers.
         if layers is not None and view.normal is None and view.minimum(-float((layers & among).any())) < 0.0:
             return np.asarray(layers & among)
-        found = np.asarray(among & (along >= furthest - ON_FACE * (furthest - nearest)))
+        found = np.asarray(among & (along >= furthest - max(view.uneven, ON_FACE * (furthest - nearest))))
         if view.normal is not None:
-            found &= sign * view.normal[:, self.axis] >= (1.0 - ON_FACE) * np.linalg.norm(view.normal, axis=1)
+            least = NEARLY if view.uneven else 1.0 - ON_FACE
+            found &= sign * view.normal[:, self.axis] >= least * np.linalg.norm(view.normal, axis=1)
         return found
 
     def check(self, dim: int) -> None:

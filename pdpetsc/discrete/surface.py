@@ -63,6 +63,8 @@ class Surface:
         ``N_f(x_k)`` [-].
     corners : (n_facets, 4, 3) float64 or None
         Corners in turn [length], if they are known: of solid bodies.
+    uneven : float
+        Depth within which facets are those of one side [length]: 0, or the size of the particles of an outer layer.
     """
 
     x: Float
@@ -73,6 +75,7 @@ class Surface:
     members: LocalIndex
     N: Float
     corners: Float | None = None
+    uneven: float = 0.0
 
     def spread(self, values: Float, onto: Float) -> None:
         """Add ``sum_f N_f(x_k) v_f`` to ``onto`` (n_local, dim) for ``values`` (n_facets, dim) (not collective)."""
@@ -181,7 +184,7 @@ class Surface:
         Collective.
         """
         sets = {name: flags[self.owner] for name, flags in cloud.sets.items()} | dict(self.tags)
-        view = View(self.x, sets, minimum=lambda value: smallest(cloud.comm, value), normal=self.area)
+        view = View(self.x, sets, lambda value: smallest(cloud.comm, value), self.area, self.uneven)
         with agreed(cloud.comm):
             mask = np.asarray(region.mask(view))
         if not anywhere(cloud.comm, mask):

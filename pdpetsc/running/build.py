@@ -54,8 +54,8 @@ from pdpetsc.discrete.memory import (
     predicted_images,
     refuse_beyond_memory,
 )
-from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.outer_layer import outer_layer
+from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError, UnknownSurface
 from pdpetsc.gradient.axes import body_axes

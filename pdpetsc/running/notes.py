@@ -12,7 +12,7 @@ from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.body_contact import ParticleContact, TwoParts
 from pdpetsc.declare.solvers import Implicit
-from pdpetsc.discrete.communicator import agreed, anywhere, bounds, largest, total
+from pdpetsc.discrete.communicator import agreed, anywhere, bounds, count_nonzero, largest, smallest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
@@ -23,6 +23,8 @@ from pdpetsc.running.thin import thin_note
 # At this ratio of shear moduli the stress within a horizon of an interface has an error of 25 % at any spacing; 14 % at
 # 1.5: docs/reference/measured/defaults.md.
 STIFFER = 2.0
+# Sizes of particles that differ by less than this share are the same.
+SAME = 1e-6
 # Number of one-cell steps allowed for a notch along the planes of a lattice.
 FEW = 2
 # Tolerated share of the stress that is lost if a jump is spread over the first step.
@@ -45,7 +47,10 @@ def notes(case: Case, problem: Problem) -> list[str]:
     -----
     Collective.
     """
-    checks = (staircase_note, apart_note, interface_note, jump_note, wave_note, thin_note, held_load_note, no_load_note)
+    checks = (
+        outer_layer_note, staircase_note, apart_note, interface_note, jump_note, wave_note, thin_note, held_load_note,
+        no_load_note,
+    )  # fmt: skip
     found = [note_of(case, problem) for note_of in checks]
     return [note for note in found if note]
 
@@ -53,6 +58,21 @@ def notes(case: Case, problem: Problem) -> list[str]:
 def _reads_stress(case: Case) -> bool:
     """Return True if the fields, the picture or the history of a case have a stress (not collective)."""
     return "stress" in {*map(dimension_of, case.recorded), *(quantity.dimension for quantity in case.history.values())}
+
+
+def outer_layer_note(case: Case, problem: Problem) -> str:
+    """Return the note on facets that follow from the outer layer of a cloud, if it applies (collective)."""
+    body = problem.body
+    if body.surface is None or not body.surface.uneven:
+        return ""
+    cloud, owner = body.cloud, np.unique(body.surface.owner)
+    half = 0.5 * (cloud.volume[owner] / (body.thickness if cloud.dim < 3 else 1.0)) ** (1.0 / cloud.dim)
+    least, most = smallest(cloud.comm, half, initial=np.inf), largest(cloud.comm, half, initial=0.0)
+    offset = f"{most:.4g}" if most - least <= SAME * most else f"{least:.4g} to {most:.4g}"
+    return (
+        f"{count_nonzero(cloud.comm, owner >= 0)} particles are the outer layer that tools touch, half a particle "
+        f"({offset}) outward; give facets=pd.Facets(...) if the surface is elsewhere"
+    )
 
 
 def staircase_note(case: Case, problem: Problem) -> str:

@@ -14,7 +14,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface, interpolation
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.outer_layer import bare, cut_planes, emptiest, highest
-from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.kernels.sparsity import nearest_neighbours, sum_by
 
 # A particle is outer if a cone is empty, with the cosine of half its angle, 57 degrees. In a triangular lattice there
 # are cones of 60 degrees behind the surface, in a cubic one of 55.
@@ -39,6 +39,9 @@ FLAT = 0.1
 HALF, REACH = 1.0, 3.0
 # Smallest facet, in sides of a cubic particle; number of facets that are cut at once.
 LEAST, AT_ONCE = 1e-6, 10000
+# Outer particles lie on the surface if their sizes, and these over their spacing, are smaller by this factor than those
+# of others: it is 0.7 to 0.8 then.
+NODES = 0.88
 # Least volume within a layer over that of its particles. Areas are not changed by small errors of the moments that need
 # large changes of areas: the share of an eigenvalue of their squares.
 ENCLOSED, SMALL = 0.6, 1e-2
@@ -109,7 +112,8 @@ def outer_layer(cloud: Cloud, families: Families, thickness: float) -> Surface:
     Raises
     ------
     CaseError
-        The body is a line, or the layer does not enclose the volume of the particles; raised on every rank.
+        The body is a line, its outer particles lie on the surface as nodes do, or the layer does not enclose the volume
+        of the particles; raised on every rank.
 
     Notes
     -----
@@ -126,6 +130,7 @@ def outer_layer(cloud: Cloud, families: Families, thickness: float) -> Surface:
     planes, x, area = planes.chosen(kept), x[kept] + cloud.x[planes.of[kept]], area[kept]
     if not anywhere(cloud.comm, len(area)):
         raise CaseError("No particle of the body is outer; give facets=pd.Facets(...).")
+    _refuse_nodes(cloud, families, size, planes.of)
     vectors = (depth * area)[:, None] * planes.normal
     bodies = np.zeros(cloud.n_owned, dtype=np.int64) if cloud.body is None else cloud.body[: cloud.n_owned]
     for number in range(1 + int(largest(cloud.comm, bodies, initial=0))):
@@ -134,6 +139,27 @@ def outer_layer(cloud: Cloud, families: Families, thickness: float) -> Surface:
     uneven = largest(cloud.comm, size[planes.of], initial=0.0)
     members = interpolation(cloud, families, x, vectors, planes.of)
     return Surface(x, vectors, planes.of, {}, *members, uneven=uneven)
+
+
+def _refuse_nodes(cloud: Cloud, families: Families, size: Float, outer: GlobalIndex) -> None:
+    """Raise CaseError if outer particles are smaller than those of their families at the same spacing (collective)."""
+    nearest = cloud.local_horizon[: cloud.n_owned].copy()
+    nearest_neighbours(families.indptr, families.neighbours, cloud.x, nearest)
+    inner = np.ones(cloud.n_owned, dtype=bool)
+    inner[outer] = False
+    behind = cloud.halo.with_ghosts(inner)
+    rows = np.flatnonzero(~inner)
+    of, other = _families_of(families, rows)
+    of, other = of[behind[other]], other[behind[other]]
+    count = np.bincount(of, minlength=len(rows))
+    rows, mean = rows[count > 0], (np.bincount(of, size[other], len(count)) / np.maximum(count, 1))[count > 0]
+    sums = [size[rows].sum(), mean.sum(), nearest[rows].sum(), size[: cloud.n_owned][inner].sum(), nearest[inner].sum()]
+    own, others, spacing, all_others, their_spacing = total(cloud.comm, sums)
+    if own < NODES * others and own / spacing < NODES * all_others / their_spacing:
+        raise CaseError(
+            "The outer particles have smaller volumes than others at the same spacing, as nodes on a surface do; give "
+            "facets=pd.Facets(...), or use LatticeNodes or MeshNodes."
+        )
 
 
 def _planes(cloud: Cloud, families: Families, size: Float) -> _Planes:

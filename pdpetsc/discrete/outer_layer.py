@@ -19,9 +19,9 @@ from pdpetsc.kernels.sparsity import nearest_neighbours, sum_by
 # A particle is outer if a cone is empty, with the cosine of half its angle, 57 degrees. In a triangular lattice there
 # are cones of 60 degrees behind the surface, in a cubic one of 55.
 EMPTY = 0.55
-# Number of directions at which the search for cones begins; the cosine of the cones that must be empty there; and the
-# steps in which the directions are improved.
-DIRECTIONS, NARROW = {2: 32, 3: 200}, 0.72
+# Half of the number of parts of the sides of a cube or a square, at which the search for cones begins; the cosine of
+# the cones that must be empty there; and the steps in which the directions are improved.
+PARTS, NARROW = {2: 4, 3: 3}, 0.72
 TURNS = 0.3 * 0.8 ** np.arange(30)
 # The plane of outer particles around one, in sizes of the particle: their distances along the plane and off it, the
 # latter a share of both at first; the distance off the plane at which they have half of the weight; and the smallest
@@ -291,11 +291,12 @@ def _closed(cloud: Cloud, x: Float, area: Float, V: float) -> Float:
         centre[axis] = at
     unit = V / whole
     place = np.concatenate([np.ones((len(x), 1)), (x - centre) / unit], axis=1)
-    # Conditions on the sums of 1 and the coordinates (rows) with the components of the areas (columns), as in
-    # ``surface_of``: on a mirror plane there are no facets, and their areas are along its normal.
+    # Conditions on the sums of 1 and the coordinates (rows) with the components of the areas (columns). Those that are
+    # odd across a mirror plane hold by symmetry.
     wanted = np.ones((1 + dim, dim), dtype=bool)
     for axis in cloud.places.planes:
-        wanted[np.arange(1 + dim) != 1 + axis, axis] = False
+        coordinate, component = np.arange(1 + dim)[:, None] == 1 + axis, np.arange(dim) == axis
+        wanted &= coordinate == component
     wanted[[1 + axis for axis in periodic]] = False
     target = np.concatenate([np.zeros((1, dim)), V / unit * np.eye(dim)])
     ends = [axis for axis in range(dim) if axis not in periodic]
@@ -341,11 +342,11 @@ def _with_ghosts(cloud: Cloud, vectors: Float) -> Float:
 
 
 def _directions(dim: int) -> Float:
-    """Return unit vectors in all directions (n, dim): on a circle, or on a spiral from pole to pole of a sphere."""
-    count = DIRECTIONS[dim]
-    if dim == 2:
-        angle = 2.0 * np.pi * np.arange(count) / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    angle, r = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count), np.sqrt(1.0 - z**2)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    """Return unit vectors (n, dim) in directions that are nearly equally apart, and symmetric to all axes.
+
+    They point at the places of a grid on the sides of a square or a cube.
+    """
+    count = PARTS[dim]
+    places = np.stack(np.meshgrid(*[np.arange(-count, count + 1)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    points = np.tan(0.25 * np.pi / count * places[np.abs(places).max(axis=1) == count])
+    return np.asarray(points / np.linalg.norm(points, axis=1)[:, None])

@@ -895,3 +895,109 @@ def test_a_tool_feels_the_opposite_force_and_moment(dim, cells, friction, rng):
         arm, force = (np.pad(one, ((0, 0), (0, 3 - dim))) for one in (place, force))
         found.append(np.concatenate([force, np.cross(arm, force)], axis=1).sum(axis=0))
     np.testing.assert_allclose(found[0], found[1], atol=1e-13 * np.abs(f).sum())
+
+
+def on_a_slope(dim=2, angle=0.4, particles=None, weights=None, unit=1.0, friction=0.0, shake=0.0):
+    """Return a block whose lowest layer is held and that a plane presses and drags, all turned by an angle."""
+    counts = (12, 6, 6)[:dim]
+    c, s, across = np.cos(angle), np.sin(angle), np.zeros(dim)
+    along, up = across.copy(), across.copy()
+    along[:2], up[:2] = (c, s), (-s, c)
+    if particles is None:
+        x = pd.Lattice((0.0,) * dim, tuple(map(float, counts)), 1.0).chunk(0, 1).x
+        x = x + np.random.default_rng(0).uniform(-shake, shake, x.shape)
+        x[:, :2] = x[:, :2] @ np.array([[c, s], [-s, c]])
+        particles = pd.Arrays(unit * x, unit**dim)
+    height, gap = unit * counts[1], shake * unit
+    plane = pd.RigidPlane(
+        (height + gap) * up, -up, move=unit * (-(0.1 + shake) * up + (0.05 * along if friction else 0.0))
+    )
+    return pd.Case(
+        particles=particles,
+        horizon=3.015 * unit,
+        material=pd.LinearElastic(E=E, nu=NU),
+        weights=weights,
+        conditions=[
+            pd.Displacement(pd.region.Where(lambda x: x @ up < unit), **dict.fromkeys("xyz"[:dim], 0.0)),
+            pd.Contact(pd.region.Where(lambda x: x @ up > height - unit), plane, friction, name="tool"),
+        ],
+        steps=pd.Steps(2),
+        results=lambda h: {
+            "up": sum(h[f"tool_{axis}"][-1] * n for axis, n in zip("xyz", up, strict=False)),
+            "along": sum(h[f"tool_{axis}"][-1] * n for axis, n in zip("xyz", along, strict=False)),
+            "area": h["tool_area"][-1],
+        },
+    )
+
+
+@pytest.mark.parametrize(("dim", "friction"), [(2, 0.0), (2, 0.2), (3, 0.0)])
+def test_a_cloud_without_facets_is_pressed_as_the_lattice_that_it_is(dim, friction, tmp_path):
+    """A turned lattice as arrays has no facets that are known: those of its outer layer are the same."""
+    lattice = pd.Lattice((0.0,) * dim, tuple(map(float, (12, 6, 6)[:dim])), 1.0)
+    exact = pd.run(on_a_slope(dim, 0.0, lattice, pd.Standard(), friction=friction), tmp_path / "lattice")
+    found = pd.run(on_a_slope(dim, 0.4, weights=pd.Standard(), friction=friction), tmp_path / "arrays")
+    assert exact["up"] < -0.9 * 0.1 / 6.0 * E * exact["area"]
+    for name in ("up", "along", "area"):
+        assert found[name] == pytest.approx(exact[name], rel=1e-7, abs=1e-7 * abs(exact["up"])), name
+    if friction:
+        assert 0.1 * abs(found["up"]) < abs(found["along"]) <= 0.2 * abs(found["up"]) * (1.0 + 1e-9)
+    # Conforming weights, the default of a cloud that is no lattice along the axes.
+    conforming = pd.run(on_a_slope(dim, 0.4, friction=friction), tmp_path / "conforming")
+    assert "conforming weights" in conforming.summary["scheme"]["note"]
+    assert conforming["up"] == pytest.approx(exact["up"], rel=0.02)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_outer_layer_of_a_cloud_balances_a_uniform_stress(dim, tmp_path):
+    """A plane presses an irregular cloud, which spreads freely: the stress in its middle is the force over the area."""
+    case = on_a_slope(dim, 0.0, shake=0.1)
+    low, (_, contact) = pd.region.Slab("y", high=1.0), case.conditions
+    one, other = (pd.region.Nearest((x, 0.5, 3.0)[:dim]) for x in (6.0, 0.0))
+    held = [pd.Displacement(low, y=0.0), pd.Displacement(one, **dict.fromkeys("xz"[: dim - 1], 0.0))]
+    if dim == 3:
+        held += [pd.Displacement(other, z=0.0)]
+    found = pd.run(dataclasses.replace(case, horizon=None, conditions=[*held, contact], fields=[pd.stress]), tmp_path)
+    height = np.asarray(case.particles.x)[:, 1]
+    stress = found.field("stress")[(height > 2.0) & (height < 4.0), 1, 1]
+    assert stress.mean() == pytest.approx(found["up"] / 12.0 / 6.0 ** (dim - 2), rel=0.02)
+    assert stress.std() < 0.3 * abs(stress.mean())
+
+
+def test_ranks_and_units_change_nothing_of_an_outer_layer(tmp_path):
+    path = tmp_path / "cloud.py"
+    path.write_text(
+        "from tests.terms.test_contact import on_a_slope\n\n\ndef case():\n    return on_a_slope(3, 0.4, shake=0.1)\n"
+    )
+    one, two = (results(path, output=tmp_path / str(ranks), ranks=ranks) for ranks in (1, 2))
+    small = pd.run(on_a_slope(3, 0.4, shake=0.1, unit=1e-3), tmp_path / "small")
+    assert small["up"] == pytest.approx(1e-6 * one["results"]["up"], rel=1e-6)
+    for name, value in one["results"].items():
+        assert two["results"][name] == pytest.approx(value, rel=1e-7), name
+    note = next(note for note in one["notes"] if "outer layer" in note)
+    assert note == (
+        "272 particles are the outer layer that tools touch, half a particle (0.5) outward; give facets=pd.Facets(...) "
+        "if the surface is elsewhere"
+    )
+    assert note in two["notes"]
+
+
+def test_only_tools_touch_an_outer_layer():
+    case = on_a_slope(shake=0.1)
+    cloud = case.particles
+    both = pd.Bodies({"one": cloud, "other": pd.Arrays(np.asarray(cloud.x) + np.array([40.0, 0.0]), 1.0)})
+    others = [
+        {"particles": both, "conditions": [*case.conditions, pd.BodyContact("one", "other")]},
+        {"conditions": [*case.conditions, pd.FollowerPressure("+y", 1.0)]},
+        {"conditions": [*case.conditions, pd.Pressure("+y", 1.0)]},
+        {"conditions": [*case.conditions, pd.Foundation("-y", normal=1.0)]},
+        {"history": {"p": pd.OnSurface(pd.stress, "yy", "+y")}},
+        {"weights": pd.Conforming()},
+    ]
+    for changes in others:
+        with pytest.raises(pd.CaseError, match=r"no known surface.*is a surface for pd\.Contact with rigid tools only"):
+            pd.prepare(dataclasses.replace(case, **changes))
+    # Facets that are wrong are not replaced by an outer layer.
+    x = np.asarray(cloud.x)
+    wrong = pd.Facets([[0.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 2.0]], [0, 1])
+    with pytest.raises(pd.CaseError, match="is open"):
+        pd.prepare(dataclasses.replace(case, particles=pd.Arrays(x, 1.0, facets=wrong)))

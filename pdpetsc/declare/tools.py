@@ -300,7 +300,8 @@ class Contact(Condition):
     """Contact of a side of the body with a rigid tool, with Coulomb friction.
 
     The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
-    interpolated linearly from the particles near them. Only their centroids touch: a tool that is narrower than two
+    interpolated linearly from the particles near them. Facets of a cloud without a known surface are those of its outer
+    particles, half a particle outward, and the log states the offset. Only their centroids touch: a tool that is narrower than two
     facets may enter between them. A step in which a tool passes through a facet, or turns by more than half a radian
     with friction, is halved. With the gap ``g`` of a facet the tool presses with
     ``p = <p0 - stiffness g>``. The multiplier ``p0`` is 0; only where an equilibrium penetrates by more than
@@ -329,7 +330,8 @@ class Contact(Condition):
     Raises
     ------
     CaseError
-        In a case: the tool overlaps the body at the start, or the surface of the particles is not known.
+        In a case: the tool overlaps the body at the start, or the outer layer of the particles does not enclose their
+        volume.
     SolveError
         Equilibria penetrate by more than ``penetration``, whatever the multipliers.
 

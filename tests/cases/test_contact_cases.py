@@ -39,7 +39,7 @@ def test_the_pressure_below_a_half_cylinder_converges(tmp_path):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_disc_without_facets_has_the_force_and_the_pressure_of_hertz(ranks, tmp_path):
-    """Rings of particles touch on their outer layer: Johnson's force for the approach, Hertz's pressure for the force."""
+    """Rings touch on their outer layer: Johnson's force for the approach, Hertz's pressure for the force."""
     disc = found("cloud", "n=60", output=tmp_path, ranks=ranks)
     assert disc["force_over_johnson"] == pytest.approx(1.0, abs=0.015)
     assert disc["half_width_over_hertz"] == pytest.approx(1.0, abs=0.02)

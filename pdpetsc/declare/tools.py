@@ -302,8 +302,8 @@ class Contact(Condition):
     The facets of the surface touch, half a spacing outside of the particles of a ``Lattice``; their displacement is
     interpolated linearly from the particles near them. Facets of a cloud without a known surface are those of its outer
     particles, half a particle outward, and the log states the offset. Only centroids touch: a tool that is narrower
-    than two facets may enter between them. A step in which a tool passes through a facet, or turns by more than half a radian
-    with friction, is halved. With the gap ``g`` of a facet the tool presses with
+    than two facets may enter between them. A step in which a tool passes through a facet, or turns by more than half a
+    radian with friction, is halved. With the gap ``g`` of a facet the tool presses with
     ``p = <p0 - stiffness g>``. The multiplier ``p0`` is 0; only where an equilibrium penetrates by more than
     ``penetration``, it becomes the pressure of that equilibrium, which is solved again, until none does. A facet sticks
     with a tenth of the stiffness until the shear traction is ``friction p``.

@@ -21,7 +21,7 @@ from pdpetsc.kernels.sparsity import nearest_neighbours, sum_by
 EMPTY = 0.55
 # Half of the number of parts of the sides of a cube or a square, at which the search for cones begins; the cosine of
 # the cones that must be empty there; and the steps in which the directions are improved.
-PARTS, NARROW = {2: 4, 3: 3}, 0.72
+PARTS, NARROW = {2: 8, 3: 6}, 0.66
 TURNS = 0.3 * 0.8 ** np.arange(30)
 # The plane of outer particles around one, in sizes of the particle: their distances along the plane and off it, the
 # latter a share of both at first; the distance off the plane at which they have half of the weight; and the smallest

@@ -21,17 +21,19 @@ With ``damage=point`` the gradient points of the strip fail (``pd.PointDamage`` 
 correspondence and ``Silling(G)``, standard weights, Poisson's ratio 0.3, the same fracture energy, and a strength for
 which the strain without stress is ``ratio`` times that at the onset of damage. The path is followed by the opening of
 the middle of the crack, in steps of ``step`` to ``end`` [mm]; with ``solver=newton`` the strip is pulled in 20 steps,
-and the crack jumps. Results: ``peak_stress``, ``griffith`` and ``ratio`` as above; ``running``, the mean of the stress
-over Griffith's for a crack that has grown by the dissipated energy over Gc, by at least two horizons at each tip;
-``strength`` [MPa]; ``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets small;
-``balance``, work over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many
-degrees; ``griffith`` is then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) =
-sqrt(E Gc)`` with the exact factors above, without those of the strip, ``turn`` the angle between the crack and the
-points that have failed beyond its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih).
+and the crack jumps. Results: ``peak_stress``, ``griffith`` and ``ratio`` as above; ``cohesive``, that ratio of a
+cohesive crack in an infinite plate (``cohesive.py``); ``running``, the mean of the stress over Griffith's for a crack
+that has grown by the dissipated energy over Gc, by at least two horizons at each tip; ``strength`` [MPa];
+``cohesive_length``, ``E Gc / strength^2`` over a, for which ``ratio`` tends to 1 as it gets small; ``balance``, work
+over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many degrees; ``griffith`` is
+then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) = sqrt(E Gc)`` with the exact
+factors above, without those of the strip, ``turn`` the angle between the crack and the points that have failed beyond
+its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih).
 """
 
 from dataclasses import dataclass
 
+import cohesive
 import numpy as np
 import point_damage
 
@@ -212,7 +214,7 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
     damage = point_damage.damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=ends)
 
     def results(h):
-        peak = max(h["force"]) / WIDTH
+        peak, length = max(h["force"]) / WIDTH, modulus * GC / damage.strength**2
         stress, half = np.array(h["force"]) / WIDTH, a + 0.5 * np.array(h["dissipated"]) / GC
         grown = (half > a + 2.0 * delta) & (half < 0.4 * WIDTH)
         along = stress[grown] / griffith_stress(half[grown], modulus) if turn == 0.0 else np.empty(0)
@@ -222,6 +224,7 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
             "peak_stress": peak,
             "griffith": griffith,
             "ratio": peak / griffith,
+            **({"cohesive": cohesive.over_griffith(cohesive.centre, a, length)} if turn == 0.0 else {}),
             **running,
             "strength": damage.strength,
             "cohesive_length": E * GC / damage.strength**2 / a,

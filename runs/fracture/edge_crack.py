@@ -14,11 +14,13 @@ Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a /
 ``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
 
 With ``damage=point`` gradient points fail (``pd.PointDamage`` by a softening ``curve``, with a strain without stress of
-``ratio`` times that at the onset), with correspondence, ``Silling(G)`` and a Poisson ratio of 1/3. The path is followed
-by the opening of the mouth, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith``, ``ratio``;
-``running``, the mean of the stress over Griffith's for a crack that has grown by the dissipated energy over Gc, by at
-least two horizons; ``cohesive_length``, ``E Gc / strength^2`` over a; ``balance``, work over stored and dissipated
-energy.
+``ratio`` times that at the onset), with correspondence, ``Silling(G)``, 2 unless it is given, and a Poisson ratio of
+1/3. The path is followed by the opening of the mouth, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``,
+``griffith``, ``ratio``; ``cohesive``, the same ratio of a cohesive crack (``cohesive.py``), for a ``cohesive_length``,
+``E Gc / strength^2`` over a; ``running``, the mean of the stress over Griffith's for a crack that has grown by the
+dissipated energy over Gc, by at least two horizons; ``running_by_opening``, the same for the crack that opens as far
+at its mouth (Tada, Paris, Irwin); ``length_at_start``, that crack in the first step over a; ``balance``, work over
+stored and dissipated energy.
 
 Exact is ``K = s sqrt(pi a) F(a / W)`` with ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris,
 Irwin).
@@ -26,6 +28,7 @@ Irwin).
 
 from dataclasses import dataclass
 
+import cohesive
 import numpy as np
 import point_damage
 
@@ -60,12 +63,19 @@ def griffith(a=8.0):
     return np.sqrt(E * GC) / factor(a)
 
 
+def mouth(a, stress):
+    """Return the opening of the mouth of a crack of length ``a`` (Tada, Paris, Irwin) [mm]."""
+    c = np.cos(0.5 * np.pi * a / WIDTH)
+    return 4.0 * stress * a / E * (1.46 + 3.42 * (1.0 - c)) / c**2
+
+
 def case(
-    n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5, law="none", damage="bonds",
+    n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=None, law="none", damage="bonds",
     curve="linear", ratio=2.0, step=0.01, end=0.3,
 ):  # fmt: skip
     if pd.choose("damage", damage, {"bonds": False, "point": True}):
-        return of_points(n, horizon, a, G, curve, ratio, step, end)
+        return of_points(n, horizon, a, 2.0 if G is None else G, curve, ratio, step, end)
+    G = 0.5 if G is None else G
     if law == "none":
         return measured(n, horizon, a, scheme, weights, G)
     pd.choose("law", law, {"brittle": None})
@@ -146,15 +156,23 @@ def of_points(n, horizon, a, G, curve, ratio, step, end):
 
     def results(h):
         peak = max(h["t"]) * exact
-        stress, length = exact * np.array(h["t"]), a + np.array(h["dissipated"]) / GC
+        stress, length = exact * np.array(h["t"][1:]), a + np.array(h["dissipated"][1:]) / GC
+        lengths = np.linspace(0.5 * a, 0.7 * WIDTH, 1000)
+        open_as_far = np.interp(np.array(h["opening"][1:]) / stress, mouth(lengths, 1.0), lengths)
         grown = (length > a + 2.0 * delta) & (length < 0.6 * WIDTH)
-        running = {"running": float((stress[grown] / griffith(length[grown])).mean())} if grown.any() else {}
+        cohesive_length, known = E * GC / damage.strength**2 / a, a <= 0.5 * WIDTH
+        running = {
+            "running": float((stress[grown] / griffith(length[grown])).mean()),
+            "running_by_opening": float((stress[grown] / griffith(open_as_far[grown])).mean()),
+        }
         return {
             "peak_stress": peak,
             "griffith": exact,
             "ratio": peak / exact,
-            **running,
-            "cohesive_length": E * GC / damage.strength**2 / a,
+            **({"cohesive": cohesive.over_griffith(cohesive.edge(WIDTH), a, a * cohesive_length)} if known else {}),
+            **(running if grown.any() else {}),
+            "length_at_start": open_as_far[0] / a,
+            "cohesive_length": cohesive_length,
             "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
         }
 
@@ -170,7 +188,7 @@ def of_points(n, horizon, a, G, curve, ratio, step, end):
             pd.Force(high, y=exact * WIDTH),
         ],
         solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
-        history={"opening": pd.Mean(pd.displacement, "y", above), **point_damage.energies()},
+        history={"opening": pd.CrackOpening((0.0, middle), (a, middle), at=0.0), **point_damage.energies()},
         results=results,
         fields=[pd.displacement, pd.local_damage],
         picture=pd.Picture(pd.local_damage, "", 5.0),

@@ -7,10 +7,12 @@ standard weights. The path is followed by the opening of the middle, in steps of
 ``8 (1 - nu^2) s a / (pi E)`` of the exact crack at the stress s at which it runs.
 Results: ``peak_stress``; ``griffith``, the stress at which ``K_I = 2 s sqrt(a / pi) F`` is ``sqrt(E Gc / (1 - nu^2))``,
 with ``F = (1 - q / 2 + 0.148 q^3) / sqrt(1 - q)``, ``q = 1 / wide`` (Tada, Paris, Irwin); ``over_griffith``;
-``cohesive_length``, ``E Gc / strength^2`` over the radius, which must be small; ``stiffness``, opening over that of the
-exact crack in the first step; ``balance``, work over stored and dissipated energy.
+``cohesive``, the same of a cohesive crack in an infinite solid (``cohesive.py``); ``cohesive_length``, ``E Gc /
+strength^2`` over the radius, for which both tend to 1 as it gets small; ``stiffness``, opening over that of the exact
+crack in the first step; ``balance``, work over stored and dissipated energy.
 """
 
+import cohesive
 import numpy as np
 import point_damage
 
@@ -20,7 +22,7 @@ RADIUS = 5.0
 E, NU, GC = 1000.0, 0.2, 0.1
 
 
-def case(n=5, horizon=2.015, G=0.5, curve="linear", ratio=2.0, wide=2.6, step=0.1, end=1.3):
+def case(n=5, horizon=2.015, G=2.0, curve="linear", ratio=2.0, wide=2.6, step=0.1, end=1.3):
     dx = RADIUS / n
     delta = horizon * dx
     side = round(wide * n) * dx
@@ -36,13 +38,14 @@ def case(n=5, horizon=2.015, G=0.5, curve="linear", ratio=2.0, wide=2.6, step=0.
     section = 0.25 * np.pi * side**2
 
     def results(h):
-        stress = np.array(h["force"]) / section
+        stress, length = np.array(h["force"]) / section, E * GC / damage.strength**2 / RADIUS
         return {
             "peak_stress": stress.max(),
             "griffith": griffith,
             "over_griffith": stress.max() / griffith,
+            "cohesive": cohesive.over_griffith(cohesive.penny, RADIUS, RADIUS * length / (1.0 - NU**2)),
             "strength": damage.strength,
-            "cohesive_length": E * GC / damage.strength**2 / RADIUS,
+            "cohesive_length": length,
             "stiffness": h["opening"][1] / opening / (stress[1] / griffith),
             "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
         }

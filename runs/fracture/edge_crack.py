@@ -161,16 +161,16 @@ def of_points(n, horizon, a, G, curve, ratio, step, end):
         open_as_far = np.interp(np.array(h["opening"][1:]) / stress, mouth(lengths, 1.0), lengths)
         grown = (length > a + 2.0 * delta) & (length < 0.6 * WIDTH)
         cohesive_length, known = E * GC / damage.strength**2 / a, a <= 0.5 * WIDTH
-        running = {
-            "running": float((stress[grown] / griffith(length[grown])).mean()),
-            "running_by_opening": float((stress[grown] / griffith(open_as_far[grown])).mean()),
-        }
+        running = {}
+        if grown.any():
+            running["running"] = float((stress[grown] / griffith(length[grown])).mean())
+            running["running_by_opening"] = float((stress[grown] / griffith(open_as_far[grown])).mean())
         return {
             "peak_stress": peak,
             "griffith": exact,
             "ratio": peak / exact,
             **({"cohesive": cohesive.over_griffith(cohesive.edge(WIDTH), a, a * cohesive_length)} if known else {}),
-            **(running if grown.any() else {}),
+            **running,
             "length_at_start": open_as_far[0] / a,
             "cohesive_length": cohesive_length,
             "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),

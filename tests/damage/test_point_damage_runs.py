@@ -1,16 +1,19 @@
 """Case files with damage at gradient points: energies, loads and openings against references that know no horizon."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.commands import ROOT, results
+import pdpetsc as pd
+from tests.commands import ROOT, history, results
 from tests.damage.test_fracture import hinge_peak
 
 sys.path.append(str(ROOT / "runs/fracture"))
 import centre_crack
+import double_cantilever
 import gregoire_beam
 import mixed_mode_beam
 import point_damage
@@ -47,6 +50,35 @@ def test_a_double_cantilever_releases_what_its_points_take(tmp_path):
     found = results("runs/fracture/double_cantilever.py", *words, output=tmp_path)["results"]
     assert found["balance"] == pytest.approx(1.0, abs=0.005)
     assert found["taken_over_Gc"] == pytest.approx(1.0, abs=0.17)
+
+
+def arms(crack, failed, horizon, output):
+    """Return the stiffness of the arms of the double cantilever beside a crack of cut bonds or failed points."""
+    case = double_cantilever.of_points(10, horizon, 0.01, "linear", 5.0, 2.0, 1)
+    cracks = [pd.Segment((-1.0, double_cantilever.H), (crack, double_cantilever.H))]
+    damage = replace(case.damage, Gc=1e9, cracks=cracks)
+    given = {"damage": damage, "cracks": []} if failed else {"damage": None, "cracks": cracks}
+    kept = {name: case.history[name] for name in ("load", "deflection")}
+    beam = replace(case, **given, steps=pd.Steps(1), history=kept, results=None, fields=[], picture=None)
+    pd.run(beam, output)
+    rows = history(output)
+    return rows["load"][-1] / (2.0 * rows["deflection"][-1])
+
+
+@pytest.mark.parametrize("horizon, most", [(2.015, 2.0), (3.015, 3.0)])
+def test_arms_beside_a_crack_lose_the_rows_of_points_that_it_fails(horizon, most, tmp_path):
+    """Compliance ``8 (a + chi)^3 / (E t^3)``: its cube root gives the depth t of the arms. Cut bonds leave them whole.
+
+    Measured are 1.7 and 2.2 rows, of 2 and 3; at the edge of the band the control carries a part.
+    """
+    H, E = double_cantilever.H, double_cantilever.E
+    lengths = np.array([30.0, 40.0, 50.0])
+    depth = {}
+    for failed in (False, True):
+        roots = np.cbrt([1.0 / arms(a, failed, horizon, tmp_path) for a in lengths])
+        depth[failed] = 2.0 / np.cbrt(E) / np.polyfit(lengths, roots, 1)[0]
+    assert depth[False] == pytest.approx(H, rel=0.03)
+    assert most - 1.0 < (H - depth[True]) / (0.1 * H) < most
 
 
 @pytest.mark.long

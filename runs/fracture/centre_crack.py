@@ -28,7 +28,9 @@ that has grown by the dissipated energy over Gc, by at least two horizons at eac
 over what is stored and dissipated at the end. With an ``angle`` the crack is turned by so many degrees; ``griffith`` is
 then that of the largest hoop stress, ``K_I cos^3(t / 2) - 3 K_II cos^2(t / 2) sin(t / 2) = sqrt(E Gc)`` with the exact
 factors above, without those of the strip, ``turn`` the angle between the crack and the points that have failed beyond
-its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih).
+its tip [degrees], and ``turn_exact`` that t (Erdogan and Sih); ``turn_cohesive`` and ``cohesive`` include the stress
+along the crack at the distance ``(K_c / strength)^2 / (2 pi)`` of the tip (Smith2001), and the strip by Feddersen's
+factor for the projected length.
 """
 
 from dataclasses import dataclass
@@ -173,6 +175,19 @@ def kink(turn):
     return t, np.cos(0.5 * t) ** 2 * (opening * np.cos(0.5 * t) - 3.0 * sliding * np.sin(0.5 * t))
 
 
+def kink_of_zone(turn, length):
+    """Return the angle of ``kink``, and the factor on its stress, of a crack with a cohesive length over a.
+
+    The hoop stress is that at the distance ``(K_c / strength)^2 / (2 pi)`` of the tip, where the stress along the
+    crack, ``sin^2 - cos^2`` of the pull, adds to that of K (Smith2001).
+    """
+    t = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 40001)
+    opening, sliding = np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)
+    hoop = np.cos(0.5 * t) * (opening * np.cos(0.5 * t) ** 2 - 1.5 * sliding * np.sin(t))
+    hoop += np.sqrt(length / np.pi) * (np.sin(turn) ** 2 - opening) * np.sin(t) ** 2
+    return t[hoop.argmax()], kink(turn)[1] / hoop.max()
+
+
 @dataclass(frozen=True)
 class Turn(pd.Quantity):
     """Angle between a direction and the middle of the failed points one to five horizons beyond a tip [degrees]."""
@@ -219,12 +234,15 @@ def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end, turn, path
         grown = (half > a + 2.0 * delta) & (half < 0.4 * WIDTH)
         along = stress[grown] / griffith_stress(half[grown], modulus) if turn == 0.0 else np.empty(0)
         running = {"running": float(along.mean())} if len(along) else {}
+        zone_kink, lowered = kink_of_zone(turn, length / a)
+        raised = np.sqrt(1.0 / np.cos(np.pi * a * ahead[0] / WIDTH)) if turn != 0.0 else 1.0
         turns = {"turn": h["turn"][-1], "turn_exact": float(np.degrees(kinked))} if turn != 0.0 else {}
+        turns |= {"turn_cohesive": float(np.degrees(zone_kink))} if turn != 0.0 else {}
         return {
             "peak_stress": peak,
             "griffith": griffith,
             "ratio": peak / griffith,
-            **({"cohesive": cohesive.over_griffith(cohesive.centre, a, length)} if turn == 0.0 else {}),
+            "cohesive": cohesive.over_griffith(cohesive.centre, a, length) * lowered / raised,
             **running,
             "strength": damage.strength,
             "cohesive_length": E * GC / damage.strength**2 / a,

@@ -41,6 +41,10 @@ def test_a_slanted_crack_kinks_by_the_largest_hoop_stress():
     assert centre_crack.kink(0.0) == (0.0, 1.0)
     assert np.degrees(centre_crack.kink(np.radians(45.0))[0]) == pytest.approx(-53.13, abs=0.01)
     assert np.degrees(centre_crack.kink(np.radians(89.99))[0]) == pytest.approx(-70.5, abs=0.1)
+    for turn in np.radians([-30.0, 0.0, 20.0, 60.0]):  # a zone without length
+        t, lowered = centre_crack.kink_of_zone(turn, 0.0)
+        assert t == pytest.approx(centre_crack.kink(turn)[0], abs=2e-4)
+        assert lowered == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.long

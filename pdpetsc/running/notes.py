@@ -25,6 +25,9 @@ from pdpetsc.running.thin import thin_note
 STIFFER = 2.0
 # Sizes of particles that differ by less than this share are the same.
 SAME = 1e-6
+# Distance by which facets of an outer layer scatter on irregular clouds, over the size of the particles, as measured:
+# docs/how_to/contact.md.
+SCATTER = 0.1
 # Number of one-cell steps allowed for a notch along the planes of a lattice.
 FEW = 2
 # Tolerated share of the stress that is lost if a jump is spread over the first step.
@@ -71,7 +74,8 @@ def outer_layer_note(case: Case, problem: Problem) -> str:
     offset = f"{most:.4g}" if most - least <= SAME * most else f"{least:.4g} to {most:.4g}"
     return (
         f"{count_nonzero(cloud.comm, owner >= 0)} particles are the outer layer that tools touch, half a particle "
-        f"({offset}) outward; give facets=pd.Facets(...) if the surface is elsewhere"
+        f"({offset}) outward; give facets=pd.Facets(...) if the surface is elsewhere. On an irregular cloud it is "
+        f"rough by about {2.0 * SCATTER * most:.2g}: where a tool presses less deep, pressures are wrong"
     )
 
 

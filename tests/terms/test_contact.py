@@ -977,7 +977,7 @@ def test_ranks_and_units_change_nothing_of_an_outer_layer(tmp_path):
     note = next(note for note in one["notes"] if "outer layer" in note)
     assert note == (
         "272 particles are the outer layer that tools touch, half a particle (0.5) outward; give facets=pd.Facets(...) "
-        "if the surface is elsewhere. On an irregular cloud it is rough by about 0.2: where a tool presses less deep, "
+        "if the surface is elsewhere. On an irregular cloud it is rough by about 0.1: where a tool presses less deep, "
         "pressures are wrong"
     )
     assert note in two["notes"]

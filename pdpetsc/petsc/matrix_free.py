@@ -97,7 +97,7 @@ class MatrixFreeTangent(PetscTangent):
         set_symmetry(self.mat, problem)
         self.mat.setUp()
         self._version = -1
-        self._effort: tuple[int, float] | None = None
+        self._usual, self._solves, self._lost = 0.0, 0, 0.0
         self._strength, self._n_stiff = np.empty(0), 0
 
     def update(self, state: State, effort: tuple[int, float] | None = None) -> None:

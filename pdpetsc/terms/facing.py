@@ -231,7 +231,8 @@ def _side(surface: Surface, corners: Float, key: GlobalIndex, G: Float, mask: Ma
         surface.x[rows], corners[rows], key[rows], both[rows], surface.owner[rows].astype(np.int32), ptr,
         surface.members[entry], surface.N[entry], G[entry], depth,
     )  # fmt: skip
-    while len((halves := _halves(found))[0]):
+    # Plane bodies have few facets, and two halves show better how the gap changes along a surface that slides.
+    while surface.x.shape[1] == 3 and len((halves := _halves(found))[0]):
         found = _joined(found, *halves)
     return found
 

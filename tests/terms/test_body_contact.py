@@ -418,31 +418,26 @@ def test_facets_are_beside_each_other_only_if_their_outlines_do_not_overlap(rng)
     np.testing.assert_array_equal(q[:, AREA] > 0.0, some)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_facets_of_a_flat_side_are_joined_to_one_of_each_particle(dim):
+def test_facets_of_a_flat_side_are_joined_to_one_of_each_particle():
     """A node on a side has one facet there, with the area of its cell, and weights that are linear-exact."""
-    low, n = np.zeros(dim), 4
-    bodies = {
-        name: pd.LatticeNodes(low + z * np.eye(dim)[-1], low + 1.0 + z * np.eye(dim)[-1], 1.0 / n)
-        for name, z in (("lower", 0.0), ("upper", 1.0))
-    }
-    side = "+z" if dim == 3 else "+y"
-    contact = pd.BodyContact(f"lower {side}", f"upper -{side[1]}", name="pair")
-    material = pd.LinearElastic(E=E, nu=NU, **({} if dim == 3 else {"plane": "stress"}))
-    held = [pd.Clamp(f"lower -{side[1]}"), pd.Clamp(f"upper {side}"), contact]
-    problem, term = problem_of(pd.Case(particles=pd.Bodies(bodies), material=material, conditions=held))
+    n, up = 4, np.eye(3)[-1]
+    bodies = {name: pd.LatticeNodes(z * up, 1.0 + z * up, 1.0 / n) for name, z in (("lower", 0.0), ("upper", 1.0))}
+    held = [pd.Clamp("lower -z"), pd.Clamp("upper +z"), pd.BodyContact("lower +z", "upper -z", name="pair")]
+    case = pd.Case(particles=pd.Bodies(bodies), material=pd.LinearElastic(E=E, nu=NU), conditions=held)
+    problem, term = problem_of(case)
     facets, x = term._search.one, problem.body.cloud.x
-    assert len(facets.x) == len(np.unique(facets.owner)) == (n + 1) ** (dim - 1)
+    assert len(facets.x) == len(np.unique(facets.owner)) == (n + 1) ** 2
     on_edge = ((facets.x[:, :-1] < 0.2) | (facets.x[:, :-1] > 0.8)).sum(axis=1)
-    np.testing.assert_allclose(facets.areas, n ** (1.0 - dim) * 0.5**on_edge, rtol=1e-12)
+    np.testing.assert_allclose(facets.areas, 0.5**on_edge / n**2, rtol=1e-12)
     N, G = facets.moving.weights[:, 0], facets.moving.weights[:, 1:]
     placed = np.add.reduceat(N[:, None] * x[facets.members], facets.ptr[:-1])
     np.testing.assert_allclose(placed, facets.x, atol=1e-12)
     slopes = np.add.reduceat(x[facets.members][:, :, None] * G[:, None, :], facets.ptr[:-1])
     # The members of a side of nodes lie in it, so that the gradients are tangential.
-    tangential = np.eye(dim) - np.outer(np.eye(dim)[-1], np.eye(dim)[-1])
-    np.testing.assert_allclose(slopes, np.broadcast_to(tangential, slopes.shape), atol=1e-10)
-    np.testing.assert_allclose(facets.corners[:, :, :dim].mean(axis=1), facets.x, atol=1e-12)
+    np.testing.assert_allclose(slopes, np.broadcast_to(np.eye(3) - np.outer(up, up), slopes.shape), atol=1e-10)
+    np.testing.assert_allclose(facets.corners.mean(axis=1), facets.x, atol=1e-12)
+    # The edges that determine how vectors within the facets move.
+    assert np.linalg.matrix_rank(facets.edges).min() == 2
 
 
 def test_facets_are_joined_only_if_they_are_one_flat_facet_with_four_corners():

@@ -27,8 +27,6 @@ NEAR = 0.5
 THROUGH = 0.9
 # Thickness of material up to which facets of both parts that face each other through it never touch, in spacings.
 DEEP = 4.0
-
-
 # Share of the moment of friction that the pressure on each facet balances, with its sign.
 HALVES = np.array([0.5, -0.5])
 
@@ -93,8 +91,8 @@ class BodyContactForces(FacetContact):
     the two points, less the turn of the gap between them. Slip and ``tau_0`` are those in the surfaces at the start of
     the step, and turn with the first facet: a rigid motion of both bodies changes no force.
 
-    All of these follow the displacement. Which facets are near enough is held during a
-    solve, since it determines the sparsity of the matrix; ``follow`` updates it.
+    All of these follow the displacement. Which facets are near enough is held during a solve, since it determines the
+    sparsity of the matrix; ``follow`` updates it.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from pdpetsc.discrete.communicator import anywhere, largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface, interpolation
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.outer_layer import bare, cut_planes, emptiest, highest
+from pdpetsc.kernels.outer_layer import bare, cut_planes, emptiest, empty_cones
 from pdpetsc.kernels.sparsity import nearest_neighbours, sum_by
 
 # A particle is outer if a cone is empty, with the cosine of half its angle, 57 degrees. In a triangular lattice there
@@ -105,7 +105,7 @@ def outer_layer(cloud: Cloud, families: Families, thickness: float) -> Surface:
     cloud : Cloud
         Particles of this rank.
     families : Families
-        Their bonds, also of images behind mirror planes and in periodic cells, which are no surface.
+        Their bonds. Images behind mirror planes and in periodic cells are members of families, and prevent a surface.
     thickness : float
         Thickness of a plane body [length]; the volumes contain it.
 
@@ -328,9 +328,9 @@ def _families_of(families: Families, rows: GlobalIndex) -> tuple[GlobalIndex, Lo
 
 def _free(cloud: Cloud, families: Families, planes: _Planes) -> Mask:
     """Return which normals are axes of empty cones (m,)."""
-    found = np.empty(len(planes.of))
-    highest(families.indptr, families.neighbours, cloud.x, planes.of, planes.normal, found)
-    return np.asarray(found <= EMPTY)
+    found = np.empty(len(planes.of), dtype=bool)
+    empty_cones(families.indptr, families.neighbours, cloud.x, planes.of, planes.normal, EMPTY, found)
+    return found
 
 
 def _with_ghosts(cloud: Cloud, vectors: Float) -> Float:

@@ -5,35 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.overlap import polygon_moments
 
 
 @compiled
-def highest(indptr, neighbours, x, rows, n, found):
-    """Compute the largest cosine between directions and the bonds of particles: the empty cone about each is as wide.
+def is_empty(indptr, neighbours, x, i, n, limit):
+    """Return True if no bond of own particle ``i`` has a cosine above a limit with the unit direction ``n`` (dim,)."""
+    for b in range(indptr[i], indptr[i + 1]):
+        j, along, square = neighbours[b], 0.0, 0.0
+        for m in range(x.shape[1]):
+            xi = x[j, m] - x[i, m]
+            along += xi * n[m]
+            square += xi * xi
+        if along > limit * np.sqrt(square):
+            return False
+    return True
 
-    Parameters
-    ----------
-    indptr, neighbours
-        Families.
-    x : (n_local, dim) float64
-        Positions [length].
-    rows : (m,) int64
-        Own particle of each direction.
-    n : (m, dim) float64
-        Unit directions.
-    found : (m,) float64
-        The cosines [-]; -1 without bonds.
+
+@compiled
+def empty_cones(indptr, neighbours, x, rows, n, limit, found):
+    """Mark the unit directions ``n`` (m, dim) of own particles ``rows`` (m,) that are axes of empty cones (m,).
+
+    ``limit`` is the largest cosine of the axis with a bond [-].
     """
     for k in range(rows.size):
-        i, most = rows[k], -1.0
-        for b in range(indptr[i], indptr[i + 1]):
-            j, along, square = neighbours[b], 0.0, 0.0
-            for m in range(x.shape[1]):
-                xi = x[j, m] - x[i, m]
-                along += xi * n[k, m]
-                square += xi * xi
-            most = max(most, along / np.sqrt(square))
-        found[k] = most
+        found[k] = is_empty(indptr, neighbours, x, rows[k], n[k], limit)
 
 
 @compiled
@@ -44,8 +40,10 @@ def emptiest(indptr, neighbours, x, directions, limit, turns, cosine, n):
 
     Parameters
     ----------
-    indptr, neighbours, x
-        As for ``highest``.
+    indptr, neighbours
+        Families.
+    x : (n_local, dim) float64
+        Positions [length].
     directions : (n_directions, dim) float64
         Unit directions to begin with.
     limit : float
@@ -53,7 +51,7 @@ def emptiest(indptr, neighbours, x, directions, limit, turns, cosine, n):
     turns : (n_turns,) float64
         The steps [-].
     cosine : (n_owned, 2) float64
-        Largest cosine of each axis with a bond [-]; 2 if there is none.
+        Largest cosine of each axis with a bond [-]; 2 without an empty cone.
     n : (n_owned, 2, dim) float64
         The axes.
     """
@@ -196,14 +194,7 @@ def cut_planes(n, offset, half, axes, ptr, points, x, area):
                 break
         if count < 3:
             continue
-        twice, first, second = 0.0, 0.0, 0.0
-        for k in range(1, count - 1):
-            ax, ay = corner[k, 0] - corner[0, 0], corner[k, 1] - corner[0, 1]
-            bx, by = corner[k + 1, 0] - corner[0, 0], corner[k + 1, 1] - corner[0, 1]
-            part = ax * by - ay * bx
-            twice += part
-            first += part * (ax + bx) / 3.0
-            second += part * (ay + by) / 3.0
+        twice, first, second = polygon_moments(corner, count)
         if twice <= 0.0:
             continue
         area[p] = 0.5 * twice
@@ -219,11 +210,11 @@ def bare(indptr, neighbours, x, rows, normals, directions, empty, covered, found
     Parameters
     ----------
     indptr, neighbours, x
-        As for ``highest``.
+        As for ``emptiest``.
     rows : (m,) int64
         The particles.
     normals : (m, most, dim) float64
-        Their unit normals, 0 where there is none.
+        Their unit normals, followed by zeros.
     directions : (n_directions, dim) float64
         Unit axes of the cones.
     empty, covered : float
@@ -244,16 +235,6 @@ def bare(indptr, neighbours, x, rows, normals, directions, empty, covered, found
                 beside = beside or along >= covered
             if beside:
                 continue
-            free = True
-            for b in range(indptr[i], indptr[i + 1]):
-                j, along, square = neighbours[b], 0.0, 0.0
-                for m in range(dim):
-                    xi = x[j, m] - x[i, m]
-                    along += xi * directions[k, m]
-                    square += xi * xi
-                if along > empty * np.sqrt(square):
-                    free = False
-                    break
-            if free:
+            if is_empty(indptr, neighbours, x, i, directions[k], empty):
                 found[p] = True
                 break

@@ -172,15 +172,7 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
             p[s, 0], p[s, 1] = r[s, 0], r[s, 1]
         if count < 3:
             return
-    twice = 0.0 * p[0, 0]
-    mx, my = twice, twice
-    for s in range(1, count - 1):
-        x1, y1 = p[s, 0] - p[0, 0], p[s, 1] - p[0, 1]
-        x2, y2 = p[s + 1, 0] - p[0, 0], p[s + 1, 1] - p[0, 1]
-        part = x1 * y2 - x2 * y1
-        twice += part
-        mx += part * (x1 + x2) / 3.0
-        my += part * (y1 + y2) / 3.0
+    twice, mx, my = polygon_moments(p, count)
     if 0.5 * twice.real <= NONE * min(sa.real, sb.real):
         return
     mx, my = p[0, 0] + mx / twice, p[0, 1] + my / twice
@@ -204,6 +196,24 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
         b[m] = at[m] + hb * n[m] + ca[m] - cb[m]
     _undeformed(one, X, a, q[ONE:OTHER])
     _undeformed(other, other_X, b, q[OTHER:QUANTITIES])
+
+
+@compiled
+def polygon_moments(p, count):
+    """Compute twice the area of the polygon of the first corners ``p`` (count, 2), and its moments.
+
+    These are twice the area times the centroid, relative to the first corner.
+    """
+    twice = 0.0 * p[0, 0]
+    first, second = twice, twice
+    for s in range(1, count - 1):
+        x1, y1 = p[s, 0] - p[0, 0], p[s, 1] - p[0, 1]
+        x2, y2 = p[s + 1, 0] - p[0, 0], p[s + 1, 1] - p[0, 1]
+        part = x1 * y2 - x2 * y1
+        twice += part
+        first += part * (x1 + x2) / 3.0
+        second += part * (y1 + y2) / 3.0
+    return twice, first, second
 
 
 @compiled

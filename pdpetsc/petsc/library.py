@@ -259,7 +259,7 @@ def start_anew(ksp: PETSc.KSP) -> None:
 
 
 def effort(ksp: PETSc.KSP) -> tuple[int, float] | None:
-    """Return the iterations of the last linear solve and its digits; None if there is none or it failed."""
+    """Return the iterations of the last linear solve and its digits, or None without a solve that converged."""
     rtol, iterations = float(ksp.getTolerances()[0]), ksp.getIterationNumber()
     # Setting up the solver for the next solve clears the reason, but not the iterations.
     if ksp.getConvergedReason() < 0 or iterations == 0 or not 0.0 < rtol < 1.0:

@@ -101,7 +101,7 @@ class MatrixFreeTangent(PetscTangent):
         self._strength, self._n_stiff = np.empty(0), 0
 
     def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
-        """Update to K at a state. The preconditioner is kept while linear solves do not need more iterations."""
+        """Update to K at a state. The preconditioner is kept until it has cost as much as a rebuild."""
         version = self._problem.version
         if self._problem.linear and self.holds():
             return

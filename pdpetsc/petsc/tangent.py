@@ -35,8 +35,8 @@ class PetscTangent(ABC):
     def update(self, state: State, effort: tuple[int, float] | None = None) -> None:
         """Update to K at a state.
 
-        ``effort`` are the iterations of the last linear solve with it, and its digits. The preconditioning matrix may
-        be kept while a digit does not need more iterations. Without ``effort`` it is rebuilt.
+        ``effort`` holds the iterations of the last linear solve with it, and its digits. The preconditioning matrix may
+        be kept while solves do not need many more iterations. Without ``effort`` it is rebuilt.
         """
 
     @abstractmethod

@@ -22,6 +22,8 @@ from pdpetsc.material.split import NoTension, Split
 
 # An onset that is admissible for every fracture energy [-].
 SMALL = 1e-6
+# Share of the way from the present drive to the final one that a point keeps at least if its crack turns [-].
+LEAST_LEFT = 0.5
 
 
 @dataclass(frozen=True)
@@ -254,6 +256,10 @@ class FailingPoints:
         Points that do not fail.
     phi, kappa, final : (n_points,) float64
         Degradation factor, largest drive of converged steps, and final drive [-].
+    start : (n_points,) float64
+        Drive at which the softening curve begins, ``xi = (x - start) / (final - start)`` [-]: 1 until the crack turns.
+    spent : (n_points,) float64
+        ``-int Y dphi`` up to the last converged step, over the energy at the onset [-].
     largest : (n_points,) float64
         Largest drive including the state of the last update of damage; a later state of the same load step may reduce
         it [-].
@@ -274,20 +280,44 @@ class FailingPoints:
         self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
         self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.normal, self.frozen, self.slack = np.zeros((n, dim)), False, 0.0
-        self.released = np.zeros(n)
-        self._at_start = np.zeros(n)
+        self.released, self.start, self.spent = np.zeros(n), np.ones(n), np.zeros(n)
         self.commit()
 
     def start_failed(self, points: GlobalIndex, normal: Float) -> None:
         """Let points fail before the first step, without dissipation, with cracks of normals (n, dim)."""
         self.normal[points] = normal
         self.largest[points], self.phi[points] = self.final[points], 0.0
-        self._at_start += self.dissipated()
+        self.commit()
+        self.spent[points] = 0.0
+
+    def law_of(self, points: GlobalIndex, energy: Float) -> tuple[Float, Float]:
+        """Return start and final drive (n,) of selected points that dissipate specific energies (n,) until they fail.
+
+        The stress at the largest drive of converged steps does not change, nor the energy dissipated up to it.
+        """
+        kappa = np.maximum(self.kappa[points], 1.0)
+        xi = self._xi(kappa, points)
+        left = energy / self.onset_energy[points] - self.spent[points] - kappa * self.curves.stress(xi, points)
+        length = left / (2.0 * (self.curves.area(points) - self.curves.integral(xi, points)))
+        return kappa - xi * length, kappa + (1.0 - xi) * length
+
+    def turn(self, points: GlobalIndex, normal: Float, energy: Float) -> None:
+        """Let the cracks of points that fail have other normals (n, dim) and specific energies (n,) [energy / volume].
+
+        The crack may be narrower than at onset, so that a point has dissipated too much already. It keeps half its way
+        to failure, since its force would jump otherwise.
+        """
+        before = self.final[points] - self.start[points]
+        kappa, (start, final) = self.kappa[points], self.law_of(points, energy)
+        xi, length = self._xi(kappa, points), np.maximum(final - start, LEAST_LEFT * before)
+        self.normal[points] = normal
+        self.start[points], self.final[points] = kappa - xi * length, kappa + (1.0 - xi) * length
         self.commit()
 
-    def final_of(self, points: GlobalIndex, energy: Float) -> Float:
-        """Return the final drives (n,) of selected points from specific fracture energies (n,) [energy / volume]."""
-        return np.asarray(1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curves.area(points)))
+    def _xi(self, x: Float, points: GlobalIndex) -> Float:
+        """Return ``xi`` (n,) [-] of selected points at drives x (n,) between onset and final drive."""
+        start = self.start[points]
+        return np.asarray((x - start) / (self.final[points] - start))
 
     @property
     def gone(self) -> Mask:
@@ -296,6 +326,7 @@ class FailingPoints:
 
     def commit(self) -> None:
         """Store the present state as that of a converged step."""
+        self.spent[:] = self._spent()
         self.kappa[:] = self.largest
         self._forget()
         self._committed = self.phi.copy(), self.final.copy()
@@ -318,8 +349,8 @@ class FailingPoints:
         largest = np.maximum(x, self.kappa)
         fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.final) & ~self.spared
         slope, at = np.zeros(len(x)), np.flatnonzero(fails)
-        xi = (largest[at] - 1.0) / (self.final[at] - 1.0)
-        by_x = self.curves.slope(xi, at) / (self.final[at] - 1.0)
+        xi = self._xi(largest[at], at)
+        by_x = self.curves.slope(xi, at) / (self.final[at] - self.start[at])
         slope[at] = (by_x - self.curves.stress(xi, at) / largest[at]) / largest[at]
         return Driven(x, self.phi_of(largest, self.final), slope, fails)
 
@@ -328,14 +359,20 @@ class FailingPoints:
         phi = np.ones(len(x))
         phi[(x >= final) & ~self.spared] = 0.0
         begun = np.flatnonzero((x > 1.0) & (x < final) & ~self.spared)
-        phi[begun] = self.curves.stress((x[begun] - 1.0) / (final[begun] - 1.0), begun) / x[begun]
+        xi = (x[begun] - self.start[begun]) / (final[begun] - self.start[begun])
+        phi[begun] = self.curves.stress(xi, begun) / x[begun]
         return phi
 
     def dissipated(self) -> Float:
         """Return ``-int Y dphi`` since the start (n_points,) [energy / volume]."""
-        found = np.zeros(len(self.largest))
+        return np.asarray(self._spent() * self.onset_energy)
+
+    def _spent(self) -> Float:
+        """Return ``-int Y dphi`` since the start over the energy at the onset (n_points,) [-]."""
+        spent = self.spent.copy()
         begun = np.flatnonzero((self.largest > 1.0) & ~self.spared)
-        x, r = np.minimum(self.largest[begun], self.final[begun]), self.final[begun]
-        xi = (x - 1.0) / (r - 1.0)
-        found[begun] = 2.0 * (r - 1.0) * self.curves.integral(xi, begun) + 1.0 - x * self.curves.stress(xi, begun)
-        return np.asarray(found * self.onset_energy - self._at_start)
+        for sign, x in ((1.0, self.largest[begun]), (-1.0, self.kappa[begun])):
+            x = np.clip(x, 1.0, self.final[begun])
+            xi, length = self._xi(x, begun), self.final[begun] - self.start[begun]
+            spent[begun] += sign * (2.0 * length * self.curves.integral(xi, begun) - x * self.curves.stress(xi, begun))
+        return spent

@@ -114,6 +114,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._volume = operator.sum_over_points(operator.volume)
         if damage_laws.cracks:
             self._start_cracks(damage_laws.cracks)
+        # Points that failed further in the last load step.
+        self._advanced = np.empty(0, dtype=np.int64)
         # Work of friction in closed cracks [energy / volume], and the degradation factors at which it was computed.
         self._rubbed = np.zeros(operator.n_points)
         self._phi_of_work = self.points.phi.copy()
@@ -208,13 +210,17 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Compute the final drive r (n,) of some points for cracks normal to directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
-            owner = self.operator.owner[points]
-            Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
-            low, high = self._reaches(points, along)
-            final = self.points.final_of(points, Gc / np.maximum(high - low, np.finfo(float).tiny))
+            final = self.points.law_of(points, self._specific_energy(points, along))[1]
             if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
         return final
+
+    def _specific_energy(self, points: GlobalIndex, along: Float) -> Float:
+        """Compute ``Gc / w`` (n,) [energy / volume] of some points for cracks normal to directions (n, dim)."""
+        owner = self.operator.owner[points]
+        low, high = self._reaches(points, along)
+        Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
+        return Gc / np.maximum(high - low, np.finfo(float).tiny)
 
     def _reaches(self, points: GlobalIndex, along: Float) -> tuple[Float, Float]:
         """Compute how far the stencils of some points reach from their particles against and along directions (n, dim).
@@ -294,21 +300,26 @@ class DegradedPoints(MaterialPoints, DamageModel):
             Y = Y - self._of_sliding(self._sliding, SlidingPart.slipped, state) - self.points.released
         return Y
 
-    def _released(self, state: State, points: GlobalIndex, normal: Float) -> Float:
-        """Compute the energy density (n,) that slip releases if cracks of normals (n, dim) begin at some points.
+    def _released(self, state: State, points: GlobalIndex, before: Float, after: Float) -> Float:
+        """Compute the energy density (n,) that slip releases as cracks of some points turn to other normals (n, dim).
 
-        Y excludes it. Otherwise Y would jump as a crack begins, and the energy would not balance (collective).
+        Normals are zero without a crack. Y excludes this energy. Otherwise Y would jump, and the energy would not
+        balance (collective).
         """
         assert self._sliding is not None
         F, only = self.deformation(state), np.zeros(self.operator.n_points, dtype=bool)
         only[points] = True
         energy = []
-        for along in (0.0, normal):
-            self.points.normal[points] = along
+        for normal in (before, after):
+            self.points.normal[points] = normal
             self._direct()
             of_closed = self._sliding.laws(state).energy(F, only)[points]
             energy.append(of_closed + self._of_sliding(self._sliding, SlidingPart.slipped, state)[points])
         return np.asarray(energy[0] - energy[1])
+
+    def _resists(self, sliding: MaterialPoints, state: State) -> Mask:
+        """Return True for points whose closed cracks have friction (n_points,)."""
+        return self._of_sliding(sliding, SlidingPart.shear, state) > 0.0
 
     def _of_sliding(
         self, sliding: MaterialPoints, quantity: Callable[[Any, Float, Float], Float], state: State
@@ -398,7 +409,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         begun = np.flatnonzero(normal.any(axis=1))
         points.normal[begun] = normal[begun]
         if self._sliding is not None and anywhere(self.body.cloud.comm, len(begun)):
-            points.released[begun] = self._released(state, begun, normal[begun])
+            points.released[begun] = self._released(state, begun, np.zeros_like(normal[begun]), normal[begun])
         self._direct()
         change = largest(self.body.cloud.comm, np.abs(points.phi - before), initial=0.0)
         self.conduction_version += change > 0.0
@@ -409,21 +420,42 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
         A crack that began in a sweep, at a point that has not failed in the end, is forgotten.
         """
-        self.points.commit()
+        points = self.points
+        self._advanced = np.flatnonzero((points.largest > points.kappa) & (points.phi > 0.0) & (points.phi < 1.0))
+        points.commit()
         for part in [] if self._sliding is None else self._sliding.materials:
             part.history[self.points.kappa[part.points] <= 1.0] = 0.0
 
     def commit(self, state: State) -> None:
-        """Update the histories of materials and the slip of closed cracks at a converged state."""
+        """Update the histories of materials, the slip of closed cracks, and normals of cracks at a converged state."""
         super().commit(state)
-        if self._sliding is None:
-            return
+        if self._sliding is not None:
+            self._commit_slip(self._sliding, state)
+        self._turn(state, self._advanced)
+
+    def _commit_slip(self, sliding: MaterialPoints, state: State) -> None:
+        """Update slip and the work of friction."""
         # A point that fails further has slipped with all of its faces, at the friction of the present state.
         phi = self.points.phi
-        self._rubbed += (1.0 - phi) * self._of_sliding(self._sliding, SlidingPart.rubbed, state)
-        self._rubbed += (self._phi_of_work - phi) * self._of_sliding(self._sliding, SlidingPart.slipped, state)
+        self._rubbed += (1.0 - phi) * self._of_sliding(sliding, SlidingPart.rubbed, state)
+        self._rubbed += (self._phi_of_work - phi) * self._of_sliding(sliding, SlidingPart.slipped, state)
         self._phi_of_work = phi.copy()
-        self._sliding.laws(state).commit(self.deformation(state))
+        sliding.laws(state).commit(self.deformation(state))
+
+    def _turn(self, state: State, failing: GlobalIndex) -> None:
+        """Turn the cracks of points that fail further to the normals at a converged state (collective)."""
+        points, comm = self.points, self.body.cloud.comm
+        failing = failing[~self._resists(self._sliding, state)[failing]] if self._sliding is not None else failing
+        if not anywhere(comm, len(failing)):
+            return
+        normal = self._across(state, failing, points.kappa)
+        normal *= np.where(np.einsum("pi,pi->p", normal, points.normal[failing]) < 0.0, -1.0, 1.0)[:, None]
+        with agreed(comm):
+            energy = self._specific_energy(failing, normal)
+        if self._sliding is not None:
+            points.released[failing] += self._released(state, failing, points.normal[failing], normal)
+        points.turn(failing, normal, energy)
+        self._direct()
 
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""
@@ -639,7 +671,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
             **of_slip,
             "phi": KeptArray(owner, points.phi, 0.0, 1.0),
             "largest_drive": KeptArray(owner, points.kappa, 0.0),
+            "start_drive": KeptArray(owner, points.start),
             "final_drive": KeptArray(owner, points.final, 1.0),
+            "dissipated": KeptArray(owner, points.spent),
             "crack_normal": KeptArray(owner, points.normal, -1.0, 1.0),
         }
 

@@ -33,9 +33,10 @@ class PointDamage(Declared):
     The driving variable is ``x = sqrt(Y / Y_0)`` with ``Y = psi_open + psi_control``, the energy that damage reduces.
     ``Y_0`` is ``psi_open`` in uniaxial tension at the strength. The stress follows the softening curve as x increases
     from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every
-    point whose family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the crack
-    at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No parameter is fitted. The normal of
-    the crack is the direction of the largest relative displacements in the families around the point.
+    point whose family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the
+    crack: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No parameter is fitted. The normal of the
+    crack is the direction of the largest relative displacements in the families around the point. It turns with them
+    from step to step until the point has failed, at constant stress and dissipated energy.
 
     Gradients and weights are those of the intact body. All forces derive from the energy, and the tangent is symmetric
     if that of the material is. The energy of a material that flows is stored energy plus plastic work.
@@ -266,8 +267,8 @@ class FailingPoints:
     normal : (n_points, dim) float64
         Unit normal of the crack of each point whose damage has begun, zero at other points.
     released : (n_points,) float64
-        Energy density that slip of the faces of this crack released at the onset, which drives no damage [energy /
-        volume].
+        Energy density that slip of the faces of this crack released as it began and turned, which drives no damage
+        [energy / volume].
     frozen : bool
         True if the degradation factor is constant while the displacement changes.
     slack : float

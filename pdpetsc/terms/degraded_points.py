@@ -220,7 +220,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         owner = self.operator.owner[points]
         low, high = self._reaches(points, along)
         Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
-        return Gc / np.maximum(high - low, np.finfo(float).tiny)
+        return np.asarray(Gc / np.maximum(high - low, np.finfo(float).tiny))
 
     def _reaches(self, points: GlobalIndex, along: Float) -> tuple[Float, Float]:
         """Compute how far the stencils of some points reach from their particles against and along directions (n, dim).
@@ -443,7 +443,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
         sliding.laws(state).commit(self.deformation(state))
 
     def _turn(self, state: State, failing: GlobalIndex) -> None:
-        """Turn the cracks of points that fail further to the normals at a converged state (collective)."""
+        """Turn the cracks of points that fail further to their normals at a converged state (collective).
+
+        Cracks with friction on their faces do not turn, since their slip belongs to their normal.
+        """
         points, comm = self.points, self.body.cloud.comm
         failing = failing[~self._resists(self._sliding, state)[failing]] if self._sliding is not None else failing
         if not anywhere(comm, len(failing)):

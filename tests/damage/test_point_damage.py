@@ -9,6 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
+from pdpetsc.damage.point_damage import CurvesAtPoints, FailingPoints
 from pdpetsc.output.checkpoint import seal
 from pdpetsc.running.crack_energy import missed_fracture_energy
 from tests.commands import field, history, results, summary
@@ -46,6 +47,38 @@ def test_curves_fall_from_one_to_nothing_and_integrate(name):
     growth = (curve.integral(inner + step) - curve.integral(inner - step)) / (2.0 * step)
     assert curve.integral(np.zeros(1)) == pytest.approx(0.0, abs=1e-15)
     assert curve.stress(inner) == pytest.approx(growth, abs=1e-8)
+
+
+@pytest.mark.parametrize("energy", [6.0, 9.0, 2.5])
+@pytest.mark.parametrize("name", CURVES)
+def test_a_crack_that_turns_keeps_its_stress_and_takes_the_energy_of_its_new_normal(name, energy):
+    """``-int Y dphi`` over the whole law, turned twice; the last energy is less than has been dissipated already."""
+    onset, one = 0.7, np.zeros(1, dtype=np.int64)
+    points = FailingPoints(CurvesAtPoints([CURVES[name]], one), np.full(1, onset), 2)
+    points.start[:], points.final[:] = points.law_of(one, np.full(1, 6.0))
+    x = np.linspace(0.9, 1.2, 2000)
+    taken, phi = 0.0, 1.0
+    for turned in (5.0, energy):
+        for here in x:
+            points.largest[:] = here
+            points.phi[:] = points.phi_of(points.largest, points.final)
+            taken -= onset * (here - 0.5 * (x[1] - x[0])) ** 2 * (points.phi[0] - phi)
+            phi = points.phi[0]
+        points.commit()
+        before = points.following(points.largest)
+        points.turn(one, np.array([[0.6, 0.8]]), np.full(1, turned))
+        after = points.following(points.largest)
+        assert after.phi == pytest.approx(before.phi, rel=1e-12)
+        assert points.dissipated() == pytest.approx(taken, rel=1e-5)
+        x = np.linspace(x[-1], 0.5 * (x[-1] + points.final[0]), 2000)
+    left = points.final[0] - points.kappa[0]
+    points.largest[:] = points.final
+    assert points.phi_of(points.largest, points.final) == 0.0
+    if energy > points.spent[0] * onset + onset * points.kappa[0] ** 2 * phi:
+        assert points.dissipated() == pytest.approx(energy, rel=1e-12)
+    else:
+        assert left > 0.0
+        assert points.dissipated() > energy
 
 
 @pytest.mark.processors

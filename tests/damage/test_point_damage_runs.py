@@ -48,12 +48,13 @@ def test_a_slanted_crack_kinks_by_the_largest_hoop_stress():
 
 
 @pytest.mark.long
-def test_a_double_cantilever_releases_what_its_points_take(tmp_path):
-    """The crack takes more than Gc: bending strains of thin arms turn the normal at onset, and the tail still grows."""
-    words = ("damage=point", "n=10", "steps=40", "opening=5")
+@pytest.mark.parametrize("horizon", [2.015, 3.015])
+def test_a_double_cantilever_releases_the_declared_energy(horizon, tmp_path):
+    """The strain of the bent arms turns normals at the onset by up to 82 degrees; they turn back as the crack opens."""
+    words = ("damage=point", "n=20", "steps=60", "opening=5", f"horizon={horizon}")
     found = results("runs/fracture/double_cantilever.py", *words, output=tmp_path)["results"]
     assert found["balance"] == pytest.approx(1.0, abs=0.005)
-    assert found["taken_over_Gc"] == pytest.approx(1.0, abs=0.17)
+    assert found["taken_over_Gc"] == pytest.approx(1.0, abs=0.04)
 
 
 def arms(crack, failed, horizon, output):

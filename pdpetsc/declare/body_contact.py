@@ -71,7 +71,8 @@ class BodyContact(TwoParts):
     Raises
     ------
     CaseError
-        In a case: bodies overlap at the start, in a periodic cell, or outlines of the facets of a solid are unknown.
+        In a case: bodies overlap at the start, another contact has some pairs of facets too, in a periodic cell, or
+        outlines of the facets of a solid are unknown.
     SolveError
         As for ``Contact``; or the bodies have moved further than ``reach``.
 
@@ -125,8 +126,8 @@ class Tied(TwoParts):
     Raises
     ------
     CaseError
-        In a case: no facets overlap within the gap, in a periodic cell, or outlines of the facets of a solid are
-        unknown.
+        In a case: no facets overlap within the gap, or another tie has some of them too; conditions hold both sides
+        apart; in a periodic cell; or outlines of the facets of a solid are unknown.
 
     Examples
     --------

@@ -84,6 +84,8 @@ class Applied:
         Prescribed unknowns.
     loads : DeadLoads
         External forces.
+    ties : list of (str, TiedForces)
+        Ties, with their names.
     """
 
     def __init__(
@@ -110,6 +112,8 @@ class Applied:
         self.absorbing: Mask | None = None
         self.viscosity: BulkViscosity | None = None
         self._contacts: set[str] = set()
+        self._pairs: list[tuple[str, BodyContact | Tied, Mask, Mask]] = []
+        self.ties: list[tuple[str, TiedForces]] = []
         self._loaded_tools: list[RigidTool] = []
         self._material_term = material_term
         self._of_cell: set[int] = set()
@@ -369,7 +373,9 @@ class Applied:
         one, other, stiffness, spacing = self._two_parts(condition, name)
         if condition.stiffness is None:
             stiffness *= TIED
-        self.following.append(TiedForces(self.body, condition, one, other, stiffness, spacing, name))
+        found = TiedForces(self.body, condition, one, other, stiffness, spacing, name)
+        self.ties.append((name, found))
+        self.following.append(found)
 
     def foundation(self, condition: Foundation, name: str) -> None:
         """Add springs on facets."""
@@ -387,6 +393,16 @@ class Applied:
             raise CaseError(f"{name} cannot act in a periodic cell; leave out the cell.")
         one, other = (self._facets(region, name) for region in (condition.region, condition.other))
         self._take_name(condition.name)
+        for earlier, kind, first, second in self._pairs:
+            same = (one & first, other & second), (one & second, other & first)
+            if type(kind) is type(condition) and any(
+                anywhere(self.body.cloud.comm, a) and anywhere(self.body.cloud.comm, b) for a, b in same
+            ):
+                raise CaseError(
+                    f"{name} acts between facets between which {earlier} acts already. Leave one out, or give each "
+                    f"facets of its own."
+                )
+        self._pairs.append((name, condition, one, other))
         found = [self._contact_stiffness(condition, mask) for mask in (one, other)]
         return one, other, min(stiffness for stiffness, _ in found), max(spacing for _, spacing in found)
 
@@ -503,4 +519,6 @@ def apply(
         onto.loads.forces(1.0)
         if body.surface is not None:
             onto.surface_loads.forces(1.0)
+        for name, tie in onto.ties:
+            tie.refuse_held_apart(onto.supports, times, name)
     return onto

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pdpetsc.arrays import Mask
 from pdpetsc.declare.body_contact import Tied
-from pdpetsc.discrete.communicator import anywhere
+from pdpetsc.discrete.communicator import anywhere, count_nonzero, largest
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import StencilMembers
 from pdpetsc.problem.body import Body
+from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.facet_contact import FixedPoints
 from pdpetsc.terms.facing import Search, both_ends, corners_of, sides_of
 from pdpetsc.terms.point_springs import PointSprings
 
 # Default stiffness over that of contact [-].
 TIED = 100.0
+# Displacements that differ by less than this share of the largest one are equal.
+SAME = 1e-9
 
 
 class TiedForces(PointSprings):
@@ -70,3 +75,21 @@ class TiedForces(PointSprings):
 
     # Pairs are of particles without a common family.
     within_families = False
+
+    def refuse_held_apart(self, supports: Supports, times: Sequence[float], name: str) -> None:
+        """Raise CaseError if displacement conditions alone move both facets of a pair, and differently (collective)."""
+        cloud, of = self.body.cloud, self.points.stencils
+        n, ties = cloud.n_owned, supports.ties
+        given = supports.fixed if ties is None else supports.fixed & ~ties.tied
+        free = cloud.halo.with_ghosts(~given[:n])[of.members]
+        held = np.add.reduceat(free, of.point_ptr[:-1], dtype=np.int64) == 0 if len(self.points.x) else free
+        if not anywhere(cloud.comm, held):
+            return
+        for t in times:
+            u = supports.prescribed(t)[:n]
+            apart = np.abs(self.points.moved(cloud.halo.with_ghosts(u))) > SAME * largest(cloud.comm, np.abs(u))
+            if twice := count_nonzero(cloud.comm, (apart & held).any(axis=1)):
+                raise CaseError(
+                    f"{name} ties {twice} pairs of facets that displacement conditions hold apart at step time {t:g}. "
+                    f"Leave the tie out, or release one side."
+                )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.region import region_of_name
 from tests.commands import results
 
 E, NU = 1000.0, 0.3
@@ -145,3 +146,44 @@ def test_what_cannot_be_tied_is_refused():
     loose = dataclasses.replace(apart, conditions=apart.conditions[:-1])
     with pytest.raises(pd.CaseError, match="rigid motions"):
         pd.prepare(loose)
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        ("lower +y", "upper -y"),
+        ("upper -y", "lower"),
+        ("lower +y", pd.region.Where(lambda x: (x[:, 0] > 0.5) & (x[:, 1] > 0.9))),
+    ],
+)
+def test_facets_that_are_tied_twice_are_refused(again):
+    """Each of two equal ties would report half the force, and together they would be twice as stiff."""
+    case = stacked()
+    second = pd.Tied(*again, name="again")
+    with pytest.raises(pd.CaseError, match="between which Tied condition 9 acts already"):
+        pd.prepare(dataclasses.replace(case, conditions=[*case.conditions, second]))
+
+
+def test_halves_of_a_side_may_be_tied_one_by_one(tmp_path):
+    case, top = stacked(), region_of_name("lower +y")
+    halves = {
+        "left": top & pd.region.Where(lambda x: x[:, 0] < 0.45),
+        "right": top & pd.region.Where(lambda x: x[:, 0] > 0.45),
+    }
+    ties = [pd.Tied(half, "upper -y", name=name) for name, half in halves.items()]
+    run = pd.run(dataclasses.replace(case, conditions=[*case.conditions[:-1], *ties]), tmp_path)
+    assert run.history["left_y"][-1] + run.history["right_y"][-1] == pytest.approx(10.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("pull", "refused"), [(0.01, True), (0.0, False)])
+def test_facets_that_conditions_hold_apart_are_refused(pull, refused):
+    """The traction between them would be the stiffness of the tie times what they are apart."""
+    case = stacked()
+    held = [pd.Displacement("lower", x=0.0, y=lambda x, t: 0.1 * t * x[:, 1])]
+    held.append(pd.Displacement("upper", y=lambda x, t: 0.1 * t * x[:, 1] + pull * t))
+    case = dataclasses.replace(case, conditions=[*held, case.conditions[-1]], steps=pd.Steps(2))
+    if refused:
+        with pytest.raises(pd.CaseError, match=r"Tied condition 3 ties .* pairs .* hold apart at step time 0\.5"):
+            pd.prepare(case)
+    else:
+        pd.prepare(case)

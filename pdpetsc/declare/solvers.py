@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.steps import MOST_STEPS
+from pdpetsc.declare.steps import LEAST_STEP, MOST_STEPS, AdaptiveSteps
 from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
 from pdpetsc.errors import CaseError
 
 # Share of a time step that is not worth one more.
 PART_OF_STEP = 1e-9
+# Smallest time step over the largest one, if the error decides.
+LEAST_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,11 @@ class DeclaredSolver(Declared):
     @property
     def duration(self) -> float | None:
         """Return the physical time of a motion with inertia [time], None for equilibria."""
+        return None
+
+    @property
+    def adaptive(self) -> AdaptiveSteps | None:
+        """Return the steps of a motion whose sizes follow from its error, None for others."""
         return None
 
     def check(self, dim: int) -> None:
@@ -346,7 +353,8 @@ class Implicit(DeclaredSolver):
     error : float, optional
         Largest local error of a time step, over the largest displacement so far, both as root mean squares over the
         mass [-]. A step with a larger error is halved, and the next ones grow as far as the error allows, up to ``dt``.
-        The error is ``|beta - 1 / 6| dt^2 |a - a_0|``. By default all steps are ``dt``.
+        The error is ``|beta - 1 / 6| dt^2 |a - a_0|``. Steps also end at the times of tables, as of ``AdaptiveSteps``.
+        By default all steps are ``dt``.
     energy_momentum : bool
         If True, energy and angular momentum are conserved at finite deformation too: the stress of a step is that of
         ``EnergyMomentum``. It needs a radius of 1, deformation gradients and elastic materials without damage,
@@ -397,6 +405,14 @@ class Implicit(DeclaredSolver):
     def duration(self) -> float:
         """Return the time at the end."""
         return self.end
+
+    @property
+    def adaptive(self) -> AdaptiveSteps | None:
+        """Return time steps up to ``dt``, in shares of the whole time, if the error decides."""
+        if self.error is None:
+            return None
+        step = 1.0 / self.count
+        return AdaptiveSteps(first=step, smallest=max(LEAST_SHARE * step, LEAST_STEP), largest=step)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import Explicit, SnapThrough
-from pdpetsc.declare.steps import Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
@@ -461,8 +460,6 @@ def _inertia(case: Case, problem: Problem, materials: OfParticles, applied: Appl
     if density is None:
         lacking = next(one for one in materials.materials if one.density is None)
         raise CaseError(f"{title} needs the density of each material, and {type(lacking).__name__} has none. Give it.")
-    if case.solver.duration is not None and case.steps != Steps():
-        raise CaseError(f"{title} has time steps of its own. Leave steps out.")
     strained = count_nonzero(cloud.comm, ~problem.supports.fixed[cloud.n_owned :])
     if case.heat is not None or problem.supports.ties is not None or strained:
         raise CaseError(

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case, check_declared
 from pdpetsc.declare.schedule import tables_of
-from pdpetsc.declare.steps import AdaptiveSteps
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.supports import beyond_sides
 from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
+from pdpetsc.errors import CaseError
 from pdpetsc.output.fingerprint import refuse_differing
 from pdpetsc.petsc.defaults import coupled_options, default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
@@ -226,11 +227,14 @@ def _with_supports(case: Case) -> Case:
 
 
 def _with_stops(case: Case) -> Case:
-    """Return the case with adaptive steps that end at the times of its tables."""
-    if not isinstance(case.steps, AdaptiveSteps):
+    """Return the case with adaptive steps, its own or those of a motion, that end at the times of its tables."""
+    if case.solver.duration is not None and case.steps != Steps():
+        raise CaseError(f"{case.solver.title} has time steps of its own. Leave steps out.")
+    steps = case.solver.adaptive or case.steps
+    if not isinstance(steps, AdaptiveSteps):
         return case
     times = [t for condition in case.conditions for table in tables_of(condition) for t in table.corners]
-    return replace(case, steps=case.steps.ending_at(times))
+    return replace(case, steps=steps.ending_at(times))
 
 
 def _of_all_ranks(case: Case) -> dict[str, Any]:

@@ -26,7 +26,9 @@ def schedule_warnings(case: Case) -> list[str]:
     if case.solver.finds_load:
         return []
     implicit = isinstance(case.solver, Implicit)
-    steps = Steps(case.solver.count) if isinstance(case.solver, Implicit) else case.steps
+    steps = case.steps
+    if isinstance(case.solver, Implicit) and case.solver.error is None:
+        steps = Steps(case.solver.count)
     found: list[str] = []
     for number, condition in enumerate(case.conditions, 1):
         name = condition_name(condition, number)

@@ -31,6 +31,17 @@ def test_adaptive_steps_end_at_the_times_of_tables(tmp_path):
     assert case.steps.stops() == [0.4, 0.5, 0.81, 1.0]
 
 
+def test_time_steps_of_limited_error_end_at_the_times_of_tables(tmp_path):
+    """A pulse within the first step moves the body; without a step that ends there nothing would."""
+    solver = pd.Implicit(dt=0.1, end=10.0, error=1e-3)
+    pulse = pd.Traction("+x", x=1.0, schedule=pd.Table([0.0, 0.004, 0.005, 0.006, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]))
+    found = pd.run(bar(pulse, solver=solver, history={"u": pd.Mean(pd.displacement, "x")}), tmp_path).history
+    for time in (0.04, 0.05, 0.06):
+        assert np.abs(found["time"] - time).min() == pytest.approx(0.0, abs=1e-9)
+    # Impulse over mass: traction 1 for a mean of 0.01 s on a column of two units length and density one.
+    assert np.diff(found["u"])[-1] / np.diff(found["time"])[-1] == pytest.approx(0.005, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("schedule", "steps", "told"),
     [
@@ -59,8 +70,8 @@ def test_a_pulse_between_time_steps_is_told(tmp_path):
     (told,) = [one for one in found.summary["notes"] if "Traction condition 2" in one]
     assert "the factor 1 at load parameter 0.02, between two steps" in told and told.endswith("Take a shorter dt.")
     assert np.abs(found.field("displacement")).max() == 0.0
-    for solver in (pd.Implicit(dt=0.01, end=1.0), pd.Explicit(end=1.0)):
-        assert schedule_warnings(bar(pd.Clamp("-x"), pulse, solver=solver)) == []
+    for solver in (pd.Implicit(dt=0.01, end=1.0), pd.Implicit(dt=0.1, end=1.0, error=0.1), pd.Explicit(end=1.0)):
+        assert schedule_warnings(pd.prepare(bar(pd.Clamp("-x"), pulse, solver=solver)).case) == []
     driven = pd.Velocity("+x", x=1.0, schedule=PULSE)
     assert schedule_warnings(bar(driven, solver=pd.Implicit(dt=0.1, end=1.0))) == []
 

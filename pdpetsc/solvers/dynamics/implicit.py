@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import Implicit
-from pdpetsc.declare.steps import LEAST_STEP, AdaptiveSteps, Steps
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import anywhere, total
 from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
@@ -33,8 +33,6 @@ from pdpetsc.solvers.load_steps import SAME_TIME, equilibrium
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.protocol import NONE, Converged, OnFailure, Setting, Start, StepResult
 
-# Smallest time step over the largest one, if the error decides.
-LEAST = 1e-4
 # Name of the largest displacement in a checkpoint [length].
 MOST_MOVED = "most_moved"
 
@@ -61,7 +59,7 @@ class ImplicitSolver(TimeStepSolver):
 
     Parameters
     ----------
-    problem, assembler, stop
+    problem, assembler, stop, steps
         As for ``StaticSolver``.
     declared : Implicit
         Time step, end and damping of short waves.
@@ -69,13 +67,12 @@ class ImplicitSolver(TimeStepSolver):
 
     advice = "take a shorter dt, look for zero-energy modes, or try -snes_linesearch_type basic or -snes_rtol 1e-8"
 
-    def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool], declared: Implicit) -> None:
-        count = declared.count
-        steps: Steps | AdaptiveSteps = Steps(count)
-        if declared.error is not None:
-            steps = AdaptiveSteps(first=1.0 / count, smallest=max(LEAST / count, LEAST_STEP), largest=1.0 / count)
+    def __init__(
+        self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps,
+        declared: Implicit,
+    ) -> None:  # fmt: skip
         super().__init__(problem, assembler, stop, steps)
-        self._count = f"at least {count}" if declared.error is not None else f"{count}"
+        self._count = f"{declared.count}" if declared.error is None else f"at least {declared.count}"
         self._declared, self._inertia = declared, inertia_of(problem)
         # Root mean square of the displacement over the mass, the largest so far [length].
         self._most = 0.0
@@ -87,7 +84,9 @@ class ImplicitSolver(TimeStepSolver):
     @classmethod
     def make(cls, setting: Setting) -> ImplicitSolver:
         """Build the solver of a setting (collective)."""
-        return cls(setting.problem, setting.assembler, setting.stop, setting.declared)
+        declared: Implicit = setting.declared
+        steps = Steps(declared.count) if declared.error is None else setting.steps
+        return cls(setting.problem, setting.assembler, setting.stop, steps, declared)
 
     def description(self) -> str:
         """Return a short description of the time integration and its solvers."""

@@ -12,12 +12,14 @@ from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.body_contact import ParticleContact, TwoParts
 from pdpetsc.declare.solvers import Implicit
+from pdpetsc.declare.thermal import Convection
 from pdpetsc.discrete.communicator import agreed, anywhere, bounds, count_nonzero, largest, smallest, total
 from pdpetsc.errors import SolveError
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import mean_spacing
 from pdpetsc.running.build import elastic_moduli, materials_of
-from pdpetsc.running.held import held_load_note, no_load_note
+from pdpetsc.running.held import held_load_note, named, no_load_note
 from pdpetsc.running.thin import thin_note
 
 # At this ratio of shear moduli the stress within a horizon of an interface has an error of 25 % at any spacing; 14 % at
@@ -36,6 +38,13 @@ SPREAD = 0.01
 JUMPED, AFTER = 0.5, 0.01
 
 
+# Error of the temperature near a surface that convects, without conforming weights, over ``h (T - T_s) horizon / k``,
+# by the horizon over the spacing, as measured: docs/theory/temperature.md.
+CONVECTED = (1.5, 2.0, 3.0), (0.2, 0.7, 1.3)
+# Share of T - T_s from which it is noted.
+WARMER = 0.02
+
+
 def notes(case: Case, problem: Problem) -> list[str]:
     """Return the notes on the results of a run.
 
@@ -52,7 +61,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
     """
     checks = (
         outer_layer_note, staircase_note, apart_note, interface_note, jump_note, wave_note, thin_note, held_load_note,
-        no_load_note,
+        no_load_note, convection_note,
     )  # fmt: skip
     found = [note_of(case, problem) for note_of in checks]
     return [note for note in found if note]
@@ -173,4 +182,23 @@ def wave_note(case: Case, problem: Problem) -> str:
         f"a time step of {solver.dt:.4g} is longer than the {crossing:.3g} in which a wave crosses the body: "
         "vibrations are not resolved; take a much shorter dt for them, or a radius below 1, which damps them, for slow "
         "motions"
+    )
+
+
+def convection_note(case: Case, problem: Problem) -> str:
+    """Return the note on temperatures near surfaces that convect, without conforming weights (collective)."""
+    cooled, conductive = named(case, Convection), [one.conduction() for one in case.thermals if one is not None]
+    if not cooled or (case.chosen_weights.conform and not problem.material_term.unsuited):
+        return ""
+    cloud, dim = problem.body.cloud, problem.dim
+    h = max(one.coefficient for _, one in cooled)
+    k = min(float(np.diag(tensor)[:dim].min()) for tensor in conductive if tensor is not None)
+    ratio = cloud.horizon / mean_spacing(problem.body, slice(0, cloud.n_owned))
+    off = min(float(np.interp(ratio, *CONVECTED)) * h * cloud.horizon / k, 1.0)
+    if off <= WARMER:
+        return ""
+    advice = "take a smaller horizon" if case.of_bonds else "declare weights=pd.Conforming()"
+    return (
+        f"within a horizon of surfaces that convect, temperatures are wrong by up to {100.0 * off:.2g} % of their "
+        f"difference to the surroundings, since weights do not conform; {advice}"
     )

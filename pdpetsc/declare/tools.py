@@ -318,8 +318,8 @@ class Contact(Condition):
         Coefficient of friction [-]; 0 by default. With ``math.inf`` the tool is rough: facets that it presses do not
         slide.
     stiffness : float, optional
-        Pressure over penetration [stress / length]; by default 10 times the modulus ``lambda + 2 mu / dim``, with
-        friction at most 50 ``mu``, over the mean spacing at the facets.
+        Pressure over penetration [stress / length]; by default 10 times the largest modulus ``lambda + 2 mu / dim``
+        of the materials at the facets, with friction at most 50 ``mu``, over the mean spacing there.
     penetration : float
         Largest penetration over that spacing in an equilibrium [-]; 0.01 by default.
     name : str

@@ -6,7 +6,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import Solid
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.body import Body
@@ -52,10 +52,12 @@ class MaterialTerm(Term):
     def kappa(self) -> float:
         """Return a typical modulus on this rank, ``lambda + 2 mu / dim`` [stress] (not collective)."""
 
-    @property
-    def friction_modulus(self) -> float:
-        """Return the modulus for the stiffness of contact with friction on this rank [stress] (not collective)."""
-        return self.kappa
+    @abstractmethod
+    def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
+        """Return the modulus for the stiffness of contact of own particles with a tool or body [stress].
+
+        It is the largest ``lambda + 2 mu / dim`` times factor among them, 0 without particles (not collective).
+        """
 
     @property
     @abstractmethod

@@ -301,6 +301,10 @@ class BondForces(MaterialTerm):
         """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
         return self._largest(lambda elastic: elastic.bulk_like_modulus(self.body.dim))
 
+    def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
+        """Return the largest ``lambda + 2 mu / dim`` times factor of own particles, with friction or without."""
+        return self._largest(lambda elastic: elastic.bulk_like_modulus(self.body.dim), particles)
+
     @property
     def largest_modulus(self) -> float:
         """Return the largest ``lambda + 2 mu`` times factor of the materials on this rank [stress]."""
@@ -311,10 +315,12 @@ class BondForces(MaterialTerm):
 
         return self._largest(modulus)
 
-    def _largest(self, modulus: Callable[[LinearElastic], float]) -> float:
-        """Return the largest modulus times factor of the own particles [stress]."""
+    def _largest(
+        self, modulus: Callable[[LinearElastic], float], particles: LocalIndex | GlobalIndex | slice = slice(None)
+    ) -> float:
+        """Return the largest modulus times factor of own particles, by default of all [stress]."""
         moduli = np.array([modulus(elastic) for elastic in self._elastic])
-        return float((moduli[self.material_of] * self.factor).max(initial=0.0))
+        return float((moduli[self.material_of] * self.factor)[particles].max(initial=0.0))
 
     def dissipation_density(self) -> Float | None:
         """Compute the dissipation of failing bonds, half of it at each end (n_owned,) [energy / volume].

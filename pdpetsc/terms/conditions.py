@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask, starts_of
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, starts_of
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.bodies import Bodies
 from pdpetsc.declare.body_contact import BodyContact, ParticleContact, Tied
@@ -415,7 +415,7 @@ class Applied:
         self._take_name(condition.name)
         spacing, stiffness = mean_spacing(self.body, mask), condition.stiffness
         if stiffness is None:
-            stiffness = largest(cloud.comm, self._material_term.kappa) / spacing
+            stiffness = self._modulus(np.flatnonzero(mask), friction=False) / spacing
         distance = spacing if condition.distance is None else condition.distance
         self.following.append(
             ParticleContactForces(self.body, mask, distance, stiffness, spacing, self._bonds, name, condition.name)
@@ -429,12 +429,17 @@ class Applied:
 
     def _contact_stiffness(self, condition: Contact | BodyContact | Tied, mask: Mask) -> tuple[float, float]:
         """Return the stiffness of a contact of facets [stress / length], and the mean spacing there [length]."""
-        spacing = mean_spacing(self.body, self.body.known_surface.owner[mask])
+        owner = self.body.known_surface.owner[mask]
+        spacing = mean_spacing(self.body, owner)
         if condition.stiffness is not None:
             return condition.stiffness, spacing
-        term = self._material_term
-        modulus = term.kappa if isinstance(condition, Tied) or condition.friction == 0.0 else term.friction_modulus
-        return STIFFNESS * largest(self.body.cloud.comm, modulus) / spacing, spacing
+        friction = not isinstance(condition, Tied) and condition.friction > 0.0
+        return STIFFNESS * self._modulus(owner, friction) / spacing, spacing
+
+    def _modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
+        """Return the modulus of the stiffest of some particles; of the body if none has a gradient point [stress]."""
+        comm, term = self.body.cloud.comm, self._material_term
+        return largest(comm, term.contact_modulus(particles, friction)) or largest(comm, term.kappa)
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""

@@ -307,24 +307,29 @@ class MaterialPoints(MaterialTerm):
         """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
         return self._largest(lambda law: law.bulk_like_modulus(self.body.dim))
 
-    @property
-    def friction_modulus(self) -> float:
-        """Return ``kappa``, or ``FRICTION`` shear moduli if that is less."""
+    def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
+        """Return the modulus of the stiffest of own particles, with friction ``FRICTION`` shear moduli if less."""
         dim = self.body.dim
 
         def modulus(law: Material) -> float:
             kappa = law.bulk_like_modulus(dim)
-            return kappa if dim == 1 else min(kappa, 0.5 * FRICTION * twice_shear(law.moduli(dim)))
+            return kappa if dim == 1 or not friction else min(kappa, 0.5 * FRICTION * twice_shear(law.moduli(dim)))
 
-        return self._largest(modulus)
+        chosen = np.zeros(self.body.cloud.n_owned, dtype=bool)
+        chosen[particles] = True
+        return self._largest(modulus, chosen[self.operator.owner])
 
-    def _largest(self, modulus: Callable[[Material], float]) -> float:
-        """Return the largest modulus times factor of the materials on this rank [stress]."""
-        return max(
-            modulus(at_points.material)
-            * (1.0 if at_points.factor is None else float(at_points.factor.max(initial=0.0)))
-            for at_points in self.materials
-        )
+    def _largest(self, modulus: Callable[[Material], float], points: Mask | None = None) -> float:
+        """Return the largest modulus times factor of the materials of points, by default of all on this rank [stress].
+
+        ``points`` is (n_points,).
+        """
+        found = [0.0]
+        for at_points in self.materials:
+            factor = np.ones(len(at_points.points)) if at_points.factor is None else at_points.factor
+            chosen = factor if points is None else factor[points[at_points.points]]
+            found.append(modulus(at_points.material) * float(chosen.max(initial=0.0)))
+        return max(found)
 
     @property
     def largest_modulus(self) -> float:

@@ -1003,3 +1003,23 @@ def test_only_tools_touch_an_outer_layer():
     wrong = pd.Facets([[0.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 2.0]], [0, 1])
     with pytest.raises(pd.CaseError, match="is open"):
         pd.prepare(dataclasses.replace(case, particles=pd.Arrays(x, 1.0, facets=wrong)))
+
+
+@pytest.mark.parametrize("law", [pd.LinearElastic(1.0, 0.25), pd.BondBased(1.0)])
+def test_a_stiff_body_that_nothing_touches_does_not_stiffen_the_contact(law, tmp_path):
+    """The penetration is the pressure over ten moduli of the body below the tool, in spacings."""
+    hard = dataclasses.replace(law, E=1000.0)
+    soft = pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.25)
+    tool = pd.RigidPlane((0.0, 1.0), (0.0, -1.0), move=(0.0, -0.01))
+
+    def depth(name, particles, material, *more):
+        conditions = [pd.Displacement("soft -y", x=0.0, y=0.0), pd.Contact("soft +y", tool), *more]
+        case = pd.Case(particles, material=material, conditions=conditions, horizon=0.51)
+        return pd.run(case, tmp_path / name).history["contact_depth"][-1]
+
+    alone = depth("alone", pd.Bodies({"soft": soft}), law)
+    far = pd.LatticeNodes((0.0, -3.0), (1.0, -2.0), 0.25)
+    both = pd.Bodies({"soft": soft, "far": far})
+    of = [(pd.region.Slab("y", low=-0.5), law), (pd.region.Slab("y", high=-0.5), hard)]
+    held = pd.Displacement("far", x=0.0, y=0.0)
+    assert depth("both", both, of, held) == pytest.approx(alone, rel=1e-9)

@@ -458,7 +458,7 @@ class KineticEnergy(Quantity):
 
 @dataclass(frozen=True)
 class EnergyError(Quantity):
-    """Error of the energy balance of a motion over the largest energy so far [-].
+    """Error of the energy balance of a motion over the largest energy so far [-]; 0 at its start by definition.
 
     It is the sum of kinetic energy, stored energy, and dissipation of damage and damping, minus its value at the start
     and the work of loads, supports and tools, or of a rigid body if that is larger: its kinetic energy minus that at

@@ -28,6 +28,20 @@ RIGID_START, RIGID_LARGEST, RIGID_WORK = "rigid_energy_at_start", "largest_rigid
 ROUND_OFF, LIGHT = 1e-6, 1e-3
 
 
+def knows_energies(problem: Problem, tells: bool) -> bool:
+    """Return True if all energies of a motion are known; ``tells`` is that of ``MotionBalance`` (collective).
+
+    They are not if bonds fail unreported or soften in a body with deformation gradients, in a body with strains without
+    stress, and for materials that depend on the rate.
+    """
+    if problem.bond_damage is not None:
+        # Softening bonds of gradients have forces without potential.
+        dissipated = tells and not (problem.softens and problem.material_term.n_points)
+    else:
+        dissipated = problem.damage is None or problem.material_term.dissipated_energy() is not None
+    return bool(dissipated) and problem.body.expansion is None and not problem.material_term.timed
+
+
 class MotionBalance:
     """Compare kinetic, stored and dissipated energy of a motion with the work on the body.
 
@@ -49,8 +63,7 @@ class MotionBalance:
     Attributes
     ----------
     known : bool
-        Whether all energies are known. They are not if bonds fail unreported or soften in a body with deformation
-        gradients, in a body with strains without stress, and for materials that depend on the rate.
+        Whether all energies are known (``knows_energies``).
     step_work : float
         Work of loads, supports and moving tools since the last record [energy]; that of a tool is on its own way, and
         that of a rigid body in motion the work of its load.
@@ -72,16 +85,10 @@ class MotionBalance:
         names = {term.energy_of for term in self._outside if term.works}
         self._outside += [term for term in others if term.energy_of in names and term not in self._outside]
         self._left_out = {*names, inertia.energy_of}
-        if problem.bond_damage is not None:
-            # Softening bonds of gradients have forces without potential.
-            dissipated = tells and not (problem.softens and problem.material_term.n_points)
-        else:
-            dissipated = problem.damage is None or problem.material_term.dissipated_energy() is not None
         # Friction takes energy, and gives none: that of contact is known if no other term works from outside.
         self._judges_contact = bool(names) and all(term.energy_of in names for term in self._outside)
         self._created = resume.get(CREATED, 0.0)
-        self.known = dissipated and problem.body.expansion is None and not problem.material_term.timed
-        inertia.judged = self.known or bool(inertia.bodies)
+        self.known = knows_energies(problem, tells)
         self._rigid_at_start, self._rigid_work = resume.get(RIGID_START, 0.0), resume.get(RIGID_WORK, 0.0)
         self._rigid_largest = resume.get(RIGID_LARGEST, 0.0)
         self._begun = START in resume

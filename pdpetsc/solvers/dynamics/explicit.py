@@ -15,7 +15,7 @@ from pdpetsc.discrete.communicator import largest as largest_of
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
+from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance, knows_energies
 from pdpetsc.solvers.dynamics.motion import (
     END,
     ERROR,
@@ -74,6 +74,7 @@ class ExplicitSolver(Solver):
     def __init__(self, problem: Problem, declared: Explicit, stop: Callable[[], bool]) -> None:
         self._problem, self._declared, self._stop = problem, declared, stop
         self._inertia = inertia_of(problem)
+        self._inertia.judged = knows_energies(problem, tells=True) or bool(self._inertia.bodies)
         self._bodies = RigidBodies(problem)
         if declared.least_step is not None:
             self._add_mass(declared.least_step)

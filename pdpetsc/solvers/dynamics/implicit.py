@@ -16,7 +16,7 @@ from pdpetsc.errors import SolveError
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.blend import Blend
 from pdpetsc.problem.problem import Problem
-from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance
+from pdpetsc.solvers.dynamics.energy import MOST, MotionBalance, knows_energies
 from pdpetsc.solvers.dynamics.motion import (
     END,
     ERROR,
@@ -77,6 +77,7 @@ class ImplicitSolver(TimeStepSolver):
         # Root mean square of the displacement over the mass, the largest so far [length].
         self._most = 0.0
         self._last = 0.0
+        self._inertia.judged = knows_energies(problem, tells=False) or bool(self._inertia.bodies)
         self._inertia.blend = Blend.of(declared.radius)
         if self._inertia.damping_time > 0.0:
             self._inertia.resistance = elastic_tangent(problem)

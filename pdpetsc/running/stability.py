@@ -20,10 +20,11 @@ class Stability(Observer):
     """
 
     def __init__(self, case: Case) -> None:
-        self._case = case
+        self._case, self._unsymmetric = case, False
 
     def rehearse(self, start: Solution, report: Report) -> None:
         """Refuse to switch branches if the tangent has no modes, or with contact."""
+        self._unsymmetric = not start.problem.symmetric
         if self._case.steps.unstable != "switch":
             return
         wrong = has_no_modes(self._case, start.problem)
@@ -50,6 +51,11 @@ class Stability(Observer):
             found.append(
                 f"{len(unstable)} of {len(steps)} equilibria are unstable, first at step time {unstable[0]:.6g}. "
                 "Perturb the body, or use Steps(unstable='shorten') or 'switch'."
+            )
+        if self._case.solver.finds_load and self._unsymmetric and steps:
+            found.append(
+                "Nothing tells whether the equilibria of this path are stable: the tangent is unsymmetric. Repeat the "
+                "steps with Newton and Steps(unstable='refuse'), or move the body with Implicit."
             )
         if branching:
             found.append(

@@ -152,6 +152,9 @@ def test_an_inflated_ring_passes_its_largest_pressure(tmp_path):
     assert found["limit"] == pytest.approx(1.0, abs=0.005)
     assert found["furthest"] < 0.005
     assert found["last"] < 0.85
+    # Its unsymmetric tangent has no count of unstable directions.
+    assert {step["negative_pivots"] for step in path.summary["steps"]} == {None}
+    assert any("Nothing tells whether the equilibria of this path" in one for one in path.summary["warnings"])
     # The first step starts without a load; its tolerance is relative to the load of its end.
     assert {step["newton_iterations"] for step in path.summary["steps"]} <= {2, 3, 4}
     t, grown = (np.array(path.history[name]) for name in ("t", "grown"))

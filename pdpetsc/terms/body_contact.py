@@ -17,6 +17,7 @@ from pdpetsc.kernels.overlap import AREA, GAP, NORMAL, ONE, OTHER
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.facet_contact import OVERLAP, STICKING, ContactProduct, FacetContact, Points
 from pdpetsc.terms.facing import Pairs, Search, corners_of, sides_of
 from pdpetsc.terms.shared_space import bodies_of, shared_point
@@ -145,6 +146,8 @@ class BodyContactForces(FacetContact):
         # Displacements of local particles at the start of this step, and axes that turn with the facets.
         self._before = np.zeros((cloud.n_local, body.dim))
         self._frames = self._search.frames(self._before)
+        # True at the end of the last step of a checkpoint, until the facets that are near there are known.
+        self._resumed = False
         self._search.leave_out_material(self._before, DEEP * spacing)
         self._search.renew(self._before)
         body.overlap.couple(mine.owner)
@@ -336,12 +339,33 @@ class BodyContactForces(FacetContact):
 
     def start_from(self, state: State) -> None:
         """Continue with the tractions at the end of the last step, and with the facets that are near at its start."""
-        super().start_from(state)
+        if not self._resumed:
+            super().start_from(state)
+        self._resumed = False
         self.follow(state)
 
     def _step_from(self, state: State) -> None:
-        self._before = state.u_local.copy()
-        self._frames = self._search.frames(self._before)
+        self._begin_at(state.u_local.copy())
+
+    def _begin_at(self, u: Float) -> None:
+        """Measure slip from the displacements of local particles (n_local, dim)."""
+        self._before, self._frames = u, self._search.frames(u)
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return also tractions and displacements at the start of the last step, on which its friction depends."""
+        found = dict(super().arrays())
+        if self._mu > 0.0:
+            n = self.body.cloud.n_owned
+            found[f"{self._name}_tau_before"] = KeptArray(self._owner, self._tau)
+            found[f"{self._name}_before"] = KeptArray(np.arange(n, dtype=np.int32), self._before[:n])
+        return found
+
+    def restored(self) -> None:
+        """Continue at the end of the last step of a checkpoint (collective)."""
+        super().restored()
+        if self._mu > 0.0:
+            self._resumed = True
+            self._begin_at(self.body.with_ghosts(self._before[: self.body.cloud.n_owned]))
 
     def follow(self, state: State) -> bool:
         """Update which facets are near; return False if nothing touches before and after."""

@@ -369,6 +369,43 @@ def test_a_restart_in_contact_continues(tmp_path):
         assert again[name][-1] == pytest.approx(whole[name][-1], rel=1e-9), name
 
 
+@pytest.mark.parametrize(
+    ("solver", "steps"), [(pd.Newton(), 6), (pd.Implicit(dt=0.1, end=0.6), 1)], ids=["newton", "implicit"]
+)
+def test_a_restart_with_friction_repeats_the_rest_of_the_run(solver, steps, tmp_path):
+    """From the row of the restart on, to the last digit: friction depends on the start of its last step too."""
+    parts = {
+        "lower": pd.LatticeNodes((0.0, 0.0), (3.0, 1.0), 0.25),
+        "upper": pd.LatticeNodes((1.0, 1.0), (2.0, 1.5), 0.125),
+    }
+    pressed, pushed = pd.Table([0.0, 0.3, 1.0], [0.0, 1.0, 1.0]), pd.Table([0.0, 0.3, 1.0], [0.0, 0.0, 1.0])
+    case = pd.Case(
+        particles=pd.Bodies(parts),
+        material=pd.NeoHookean(E=10.0, nu=0.3, density=1.0),
+        conditions=[
+            pd.Clamp("lower -y"),
+            pd.Displacement("upper +y", y=-0.02, schedule=pressed),
+            pd.Displacement("upper +y", x=0.2, schedule=pushed),
+            pd.BodyContact("lower +y", "upper -y", 0.3, stiffness=4000.0, name="pair"),
+        ],
+        solver=solver,
+        steps=pd.Steps(steps),
+        fields=[pd.displacement],
+        history={"stored": pd.StrainEnergy(), "work": pd.ExternalWork()},
+    )
+    whole = pd.run(case, tmp_path / "whole")
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(case, history={**case.history, "stop": Stop(0.6)}), tmp_path / "half")
+    again = pd.run(case, tmp_path / "again", restart=tmp_path / "half")
+    for name in ("pair_x", "pair_y", "pair_area", "stored", "work"):
+        rows = again.history[name]
+        assert len(rows) in (3, 4)
+        np.testing.assert_allclose(rows, whole.history[name][-len(rows) :], rtol=1e-11, err_msg=name)
+    assert abs(whole.history["pair_x"][-1]) > 0.01
+    u = whole.solution.u
+    np.testing.assert_allclose(again.solution.u, u, atol=1e-12 * np.abs(u).max())
+
+
 def bars(solver, gap=0.1, v=0.01):
     """Return two bars of wave speed 1, of which one hits the other at its end."""
     one = pd.LatticeNodes((0.0, 0.0), (10.0, 1.0), 0.25)

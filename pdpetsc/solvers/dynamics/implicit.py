@@ -149,8 +149,10 @@ class ImplicitSolver(TimeStepSolver):
             if self._declared.conserving:  # the first step begins at this deformation
                 problem.material_term.commit(problem.state(u, 0.0))
         balance = MotionBalance(problem, inertia, start.resume, tells=False)
-        problem.start_from(problem.state(u, start.t))
         state = problem.state(u, start.t)
+        if start.t == 0.0:
+            problem.start_from(state)
+            state = problem.state(u, start.t)
         found = forces(problem, state)
         if start.t == 0.0:
             self._bodies.begin(state, found)

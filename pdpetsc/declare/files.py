@@ -364,9 +364,17 @@ class _BodyMesh:
         Raises
         ------
         CaseError
-            A cell has no volume or is inverted.
+            A cell has no volume, is inverted, or is there twice.
         """
         volumes, centroids = [], []
+        for kind in {block.kind for block in self.blocks}:
+            corners = np.sort(np.concatenate([block.corners for block in self.blocks if block.kind == kind]), axis=1)
+            twice = len(corners) - len(np.unique(corners, axis=0))
+            if twice:
+                raise CaseError(
+                    f"{path} has {twice} cells twice, as files of Gmsh 2.2 have cells in two groups. Save them once, "
+                    f"or in format 4.1."
+                )
         for block in self.blocks:
             with np.errstate(all="ignore"):
                 volume, moment = volumes_and_moments(self.points, block)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
-from pdpetsc.discrete.communicator import agreed, count_nonzero, total
+from pdpetsc.discrete.communicator import agreed, anywhere, count_nonzero, total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import first_moments
 from pdpetsc.problem.body import Body
@@ -215,6 +215,28 @@ class Supports:
             for combination, g in self._combinations:
                 u[combination.particle, combination.axis] = g(t)
         return u
+
+    def refuse_held_across(self) -> None:
+        """Raise CaseError if particles on both sides of a period are held, and the mean strain between them is unknown.
+
+        Images move with the mean strain, and the result would depend on where the cell begins. A single particle holds
+        the body in place only.
+        """
+        if self.cell is None:
+            return
+        cloud, known = self.body.cloud, {unknown for _, unknown, _ in self._strains}
+        fixed = cloud.halo.with_ghosts(self.fixed[: cloud.n_owned])
+        period = cloud.places.period[cloud.place + cloud.places.home]
+        for unknown, (a, b) in enumerate(self.cell.components):
+            for axis, along in ((a, b), (b, a)):
+                held = fixed[: cloud.n_owned, axis]
+                across = held & self.body.families.with_any(fixed[:, axis] & (period[:, along] != 0.0))
+                if unknown not in known and anywhere(cloud.comm, across) and count_nonzero(cloud.comm, held) > 1:
+                    strain = "xyz"[a] + "xyz"[b]
+                    raise CaseError(
+                        f"Displacements {'xyz'[axis]} are prescribed on both sides of a period along {'xyz'[along]}, "
+                        f"whose mean strain {strain} is unknown. Prescribe it too, with MeanStrain({strain}=0.0)."
+                    )
 
     def held_by_condition(self) -> list[tuple[str, str, int]]:
         """Return name, prescribed components and number of particles of every displacement condition."""

@@ -518,6 +518,7 @@ def apply(
     onto = Applied(body, material_term, particles, times, density, bonds, duration)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, condition_name(condition, number))
+    onto.supports.refuse_held_across()
     with case_errors():
         for t in times if onto.supports.given.shared else (1.0,):
             onto.supports.prescribed(t)

@@ -195,6 +195,7 @@ def test_families_at_mirror_planes_and_in_periodic_cells_are_whole():
         "cell": {
             "particles": pd.Lattice((0.0, 0.0), (7.0, 7.0), 1.0),
             "cell": pd.Cell((0.0, 0.0), (7.0, 7.0), axes="xy"),
+            "conditions": [pd.Displacement(pd.region.All(), x=0.0, y=0.0), pd.MeanStrain(xx=0.0, yy=0.0, xy=0.0)],
         },
     }.items():
         damage = body(x, volume, 3.015, **changes).damage

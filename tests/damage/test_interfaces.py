@@ -82,7 +82,11 @@ def test_an_interface_takes_its_fracture_energy(kind, tmp_path):
     tall = {
         "particles": pd.Lattice((0.0, 0.0), (12.0, 30.0), 1.0),
         "cell": pd.Cell((0.0, 0.0), (12.0, 30.0), axes="y"),
-        "conditions": [pd.Displacement(LEFT, x=0.0, y=0.0), pd.Displacement(~LEFT, x=2.0, y=0.0)],
+        "conditions": [
+            pd.MeanStrain(yy=0.0),
+            pd.Displacement(LEFT, x=0.0, y=0.0),
+            pd.Displacement(~LEFT, x=2.0, y=0.0),
+        ],
         "steps": pd.Steps(2),
     }
     for left, right, between in ((0.5, 0.7, 0.05), (0.05, 0.05, 0.3)):

@@ -462,6 +462,9 @@ TOGETHER = {
     },
     "periodic cell": {
         "cell": pd.Cell((0.0, 0.0), (14.0, 8.0), axes="y"), "cracks": [pd.Segment((7.0, 0.0), (7.0, 2.0))],
+        "conditions": [
+            pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.5), pd.MeanStrain(yy=0.0),
+        ],
     },
     "mirror plane": {"symmetry": [pd.Symmetry("y", 8.0)]},
     "flow": {

@@ -169,3 +169,29 @@ def test_wrong_cells_are_refused(changes, message, tmp_path):
 def test_wrong_corners_are_refused(wrong):
     with pytest.raises(pd.CaseError, match="Cell"):
         pd.Cell(*wrong)
+
+
+def bonded(start, *conditions):
+    """Return a layer of two materials on a rigid base, periodic along x, whose period begins at a place."""
+    hard = pd.region.Where(lambda x: (x[:, 0] - start - 0.4) % 2.0 < 0.8)
+    law = pd.LinearElastic(E=1.0, nu=0.3)
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 0.8), 0.1),
+        horizon=0.2015,
+        cell=pd.Cell((0.0, 0.0), (2.0, 0.8), "x"),
+        material=[(hard, pd.LinearElastic(E=3.0, nu=0.3)), (~hard, law)],
+        conditions=[
+            pd.Displacement(pd.region.Slab("y", high=0.2), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("y", low=0.6), y=0.01),
+            *conditions,
+        ],
+        history={"stored": pd.StrainEnergy()},
+    )
+
+
+def test_particles_that_are_held_across_a_period_need_its_strain(tmp_path):
+    """Without it the energy depended on where the period begins, by a few per cent."""
+    with pytest.raises(pd.CaseError, match=r"Displacements x are prescribed on both sides .* MeanStrain\(xx=0\.0\)"):
+        pd.prepare(bonded(0.0))
+    found = [pd.run(bonded(at, pd.MeanStrain(xx=0.0)), tmp_path / str(at)).history["stored"][-1] for at in (0.0, 1.0)]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

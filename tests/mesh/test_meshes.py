@@ -1116,3 +1116,20 @@ def test_spheres_of_exodus_have_their_own_volumes(tmp_path):
     spheres(path, [])
     with pytest.raises(pd.CaseError, match="no cells"):
         pd.Mesh(path).chunk(0, 1)
+
+
+@pytest.mark.parametrize("kind", [pd.Mesh, pd.MeshNodes])
+def test_a_cell_in_the_file_twice_is_refused(kind, tmp_path):
+    """Format 2.2 of Gmsh writes a cell once for each of its groups; nodes had the volume of both."""
+    x = [(i, j, 0.0) for j in range(4) for i in range(4)]
+    cells = [(4 * j + i, 4 * j + i + 1, 4 * j + i + 5, 4 * j + i + 4) for j in range(3) for i in range(3)]
+    path = tmp_path / "two_groups.msh"
+    groups = [1] * len(cells) + [2]
+    lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$Nodes", "16"]
+    lines += [f"{k} {a} {b} {c}" for k, (a, b, c) in enumerate(x, 1)]
+    lines += ["$EndNodes", "$Elements", "10"]
+    for k, (group, cell) in enumerate(zip(groups, [*cells, cells[4]], strict=True), 1):
+        lines.append(f"{k} 3 2 {group} 1 " + " ".join(str(node + 1) for node in cell))
+    path.write_text("\n".join([*lines, "$EndElements", ""]))
+    with pytest.raises(pd.CaseError, match="has 1 cells twice"):
+        kind(path).chunk(0, 1)

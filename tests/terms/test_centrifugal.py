@@ -92,6 +92,7 @@ def test_a_cell_may_be_periodic_along_the_axis_of_rotation(axis, refused):
         cell=pd.Cell((0.0, 0.0, 0.0), (1.0, 1.0, 2.0), "z"),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=0.25), x=0.0, y=0.0, z=0.0),
+            pd.MeanStrain(zz=0.0),
             pd.Centrifugal(pd.region.All(), SPEED, (0.0, 0.0, 0.0), axis=axis),
         ],
     )

@@ -390,6 +390,7 @@ def in_a_cell(tool, dim=2, axes="x"):
         conditions=[
             pd.Displacement(pd.region.Slab("y", high=0.5), **{axis: 0.0 for axis in "xyz"[:dim]}),
             pd.Contact("+y", tool, name="tool"),
+            pd.MeanStrain(**{2 * axis: 0.0 for axis in axes}),
         ],
         history={"below": pd.Reaction("y", pd.region.Slab("y", high=0.5))},
     )

@@ -72,7 +72,11 @@ def in_a_cell():
         particles=pd.Lattice((0.0, 0.0, 0.0), (4.0, 1.0, 4.0), 0.5),
         material=pd.LinearElastic(E=1e3, nu=0.3),
         cell=pd.Cell((0.0, 0.0, 0.0), (4.0, 1.0, 4.0), "xz"),
-        conditions=[pd.Clamp("-y"), pd.Contact("+y", tool, 0.3, penetration=0.5, name="tool")],
+        conditions=[
+            pd.Clamp("-y"),
+            pd.Contact("+y", tool, 0.3, penetration=0.5, name="tool"),
+            pd.MeanStrain(xx=0.0, zz=0.0, xz=0.0),
+        ],
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.overlap import polygon_moments
+from pdpetsc.kernels.overlap import clip, polygon_moments
 
 
 @compiled
@@ -174,22 +174,7 @@ def cut_planes(n, offset, half, axes, ptr, points, x, area):
                 c += points[q, m] * n[p, m]
                 square += points[q, m] ** 2
             room = 0.5 * square - offset[p] * c + 1e-9 * h * h
-            found = 0
-            for k in range(count):
-                one, other = k, (k + 1) % count
-                s = room - a * corner[one, 0] - b * corner[one, 1]
-                t = room - a * corner[other, 0] - b * corner[other, 1]
-                if s >= 0.0:
-                    kept[found, 0], kept[found, 1] = corner[one, 0], corner[one, 1]
-                    found += 1
-                if (s > 0.0 and t < 0.0) or (s < 0.0 and t > 0.0):
-                    share = s / (s - t)
-                    for m in range(2):
-                        kept[found, m] = corner[one, m] + share * (corner[other, m] - corner[one, m])
-                    found += 1
-            count = found
-            for k in range(count):
-                corner[k, 0], corner[k, 1] = kept[k, 0], kept[k, 1]
+            count = clip(corner, kept, count, room, a, b, 0.0)
             if count < 3:
                 break
         if count < 3:

@@ -154,22 +154,7 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
         dx, dy = edge[(c + 1) % 4, 0] - x0, edge[(c + 1) % 4, 1] - y0
         if abs(dx.real) + abs(dy.real) <= least:
             continue
-        kept = 0
-        for s in range(count):
-            t = (s + 1) % count
-            left = dx * (p[s, 1] - y0) - dy * (p[s, 0] - x0)
-            after = dx * (p[t, 1] - y0) - dy * (p[t, 0] - x0)
-            if left.real >= -near and kept < MOST + 1:
-                r[kept, 0], r[kept, 1] = p[s, 0], p[s, 1]
-                kept += 1
-            if min(left.real, after.real) < -near and max(left.real, after.real) > near and kept < MOST + 1:
-                share = left / (left - after)
-                r[kept, 0] = p[s, 0] + share * (p[t, 0] - p[s, 0])
-                r[kept, 1] = p[s, 1] + share * (p[t, 1] - p[s, 1])
-                kept += 1
-        count = kept
-        for s in range(count):
-            p[s, 0], p[s, 1] = r[s, 0], r[s, 1]
+        count = clip(p, r, count, dy * x0 - dx * y0, dy, -dx, near)
         if count < 3:
             return
     twice, mx, my = polygon_moments(p, count)
@@ -196,6 +181,30 @@ def _pair(one, other, X, other_X, facing, p, r, edge, v, q):
         b[m] = at[m] + hb * n[m] + ca[m] - cb[m]
     _undeformed(one, X, a, q[ONE:OTHER])
     _undeformed(other, other_X, b, q[OTHER:QUANTITIES])
+
+
+@compiled
+def clip(p, r, count, room, a, b, near):
+    """Cut the polygon of the first corners ``p`` (count, 2) off where ``a x + b y > room``; return its new count.
+
+    Corners up to ``near`` beyond are kept. ``r`` is memory like ``p``.
+    """
+    kept = 0
+    for s in range(count):
+        t = (s + 1) % count
+        left = room - a * p[s, 0] - b * p[s, 1]
+        after = room - a * p[t, 0] - b * p[t, 1]
+        if left.real >= -near and kept < r.shape[0]:
+            r[kept, 0], r[kept, 1] = p[s, 0], p[s, 1]
+            kept += 1
+        if min(left.real, after.real) < -near and max(left.real, after.real) > near and kept < r.shape[0]:
+            share = left / (left - after)
+            for m in range(2):
+                r[kept, m] = p[s, m] + share * (p[t, m] - p[s, m])
+            kept += 1
+    for s in range(kept):
+        p[s, 0], p[s, 1] = r[s, 0], r[s, 1]
+    return kept
 
 
 @compiled

@@ -63,12 +63,8 @@ class Side:
     @property
     def areas(self) -> Float:
         """Return the areas of the facets (n,) [area]."""
-        return np.asarray(self.depth * np.linalg.norm(self._vectors, axis=1))
-
-    @property
-    def _vectors(self) -> Float:
-        c = self.corners
-        return np.asarray(0.5 * np.cross(c[:, 2] - c[:, 0], c[:, 3] - c[:, 1]))
+        edges = _edges(self.corners)
+        return np.asarray(self.depth * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1))
 
     @property
     def sizes(self) -> Float:
@@ -94,8 +90,7 @@ class Side:
 
         Facets of one particle with similar normals are one part.
         """
-        n = len(self.x)
-        normal = self._vectors / np.linalg.norm(self._vectors, axis=1)[:, None]
+        n, normal = len(self.x), _frames(_edges(self.corners))[:, 2]
         number, left, kind = np.zeros(n, dtype=np.int64), np.arange(n), 0
         while len(left):
             # The first facet of each particle that is left, and those like it.

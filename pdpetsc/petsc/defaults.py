@@ -123,7 +123,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         defaults |= {"ksp_type": "fgmres", "pc_type": "python"}
         return defaults | {f"soft_{name}": value for name, value in _of_levels(choice.levels, problem).items()}
     if choice.levels:
-        return defaults | {"pc_type": "mg"} | _of_levels(choice.levels, problem)
+        return defaults | {"pc_type": "mg"} | _of_levels(choice.levels, problem, kind == "minres")
     if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
         defaults["pc_gamg_reuse_interpolation"] = "true"
@@ -133,7 +133,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     return defaults
 
 
-def _of_levels(kind: str, problem: Problem) -> dict[str, object]:
+def _of_levels(kind: str, problem: Problem, learns: bool = False) -> dict[str, object]:
     """Return the options of the two levels: by default, one application of the tangent per iteration.
 
     The sum of the corrections of both levels needs about twice the iterations of a cycle. An iteration applies the
@@ -145,7 +145,7 @@ def _of_levels(kind: str, problem: Problem) -> dict[str, object]:
     coarse["mg_coarse_pc_gamg_reuse_interpolation"] = "true"
     levels: dict[str, object] = {
         "pc_mg_type": kind,
-        "mg_levels_pc_type": "python" if problem.stiff else "pbjacobi",
+        "mg_levels_pc_type": "python" if problem.stiff or learns else "pbjacobi",
         **coarse,
     }
     if kind == "additive":

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import anywhere, largest
+from pdpetsc.petsc.library import with_tolerance
 from pdpetsc.petsc.matrix import TangentMatrix
+from pdpetsc.petsc.slow_modes import SlowModes
 from pdpetsc.petsc.sparse import set_symmetry
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
 from pdpetsc.petsc.tangent import PetscTangent
@@ -25,6 +28,10 @@ REBUILD = 15.0
 FIRST = 2
 # Estimated bounds of the smoother may be invalid if a particle has become stiffer by this factor.
 STIFFER = 1.05
+# Largest relative tolerance of a solve that starts from slow modes.
+ROUGHEST = 0.5
+# Such a start is not used if its residual exceeds that of zero by this factor.
+WORSE = 10.0
 
 
 class Preconditioning(ABC):
@@ -38,6 +45,8 @@ class Preconditioning(ABC):
         Diagonal of the tangent, or an estimate of it [force / length].
     bounded : bool
         Whether the smoother is valid only up to the stiffness at which it was set up.
+    slow : SlowModes or None
+        Modes that it learns from the solves.
 
     Notes
     -----
@@ -47,6 +56,7 @@ class Preconditioning(ABC):
     mat: PETSc.Mat
     diagonal: Float
     bounded: bool = True
+    slow: SlowModes | None = None
 
     @abstractmethod
     def fill(self, state: State) -> Tangent:
@@ -97,6 +107,8 @@ class MatrixFreeTangent(PetscTangent):
         set_symmetry(self.mat, problem)
         self.mat.setUp()
         self._version = -1
+        # Whether slow modes are those of the current tangent.
+        self._renewed = False
         self._usual, self._solves, self._lost = 0.0, 0, 0.0
         self._strength, self._n_stiff = np.empty(0), 0
 
@@ -114,6 +126,7 @@ class MatrixFreeTangent(PetscTangent):
             self._strength, self._n_stiff = tangent.strength(), tangent.n_stiff
             self.diagonal = self._made_from.diagonal
         self._product.tangent = tangent
+        self._renewed = False
         self._version = version
         self.mat.stateIncrease()
 
@@ -154,6 +167,39 @@ class MatrixFreeTangent(PetscTangent):
     def equip(self, ksp: PETSc.KSP) -> None:
         """Set properties of a linear solver that options cannot set; its options must be set before."""
         self._made_from.equip(self.mat, ksp)
+
+    def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve ``K x = b``. Slow modes of earlier solves start it, and the preconditioner learns those of this one.
+
+        The start keeps the tolerance that of the residual: the norm of the preconditioner with slow modes exaggerates
+        their share of ``b``.
+        """
+        slow = self._made_from.slow
+        if slow is None:
+            ksp.solve(b, x)
+            return
+        if not self._renewed:
+            ksp.setUp()
+            slow.renew(self.mat, ksp.getPC())
+            self._renewed = True
+        start, rest = b.duplicate(), b.copy()
+        slow.add(b, start, slow.stiffness)
+        self.mat.mult(start, x)
+        rest.axpy(-1.0, x)
+        size, left = b.norm(), rest.norm()
+        if not 0.0 < left < WORSE * size:
+            start.set(0.0)
+            b.copy(rest)
+            left = size
+        rtol = ksp.getTolerances()[0]
+        self._product.watch = slow.watch
+        with with_tolerance(ksp, min(rtol * size / left, ROUGHEST) if left > 0.0 else rtol):
+            ksp.solve(rest, x)
+        self._product.watch = None
+        slow.keep()
+        x.axpy(1.0, start)
+        start.destroy()
+        rest.destroy()
 
     def holds(self) -> bool:
         """Return True if the tangent is that of the current problem, at any displacement (not collective)."""
@@ -220,6 +266,7 @@ class _Product:
         self._weight = self._free / scale
         self._masked = np.zeros(self._fixed.shape)
         self.tangent: Tangent | None = None
+        self.watch: Callable[[Float, Float], None] | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Compute the product; called by PETSc."""
@@ -233,3 +280,5 @@ class _Product:
         result = y.array_w.reshape(self._free.shape)
         np.multiply(product, self._weight, out=result)
         np.copyto(result, values, where=self._fixed)
+        if self.watch is not None:
+            self.watch(values.ravel(), result.ravel())

@@ -49,6 +49,10 @@ class PetscTangent(ABC):
         Its options must be set before. Call it again if ``renew`` returned True.
         """
 
+    def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve ``K x = b``, to the tolerance of the linear solver; it may learn from it for the next solve."""
+        ksp.solve(b, x)
+
     @abstractmethod
     def holds(self) -> bool:
         """Return True if the problem has not changed since ``update``, at any displacement (not collective)."""

@@ -13,6 +13,7 @@ from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.interface import Interface
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.shell import Shell
+from pdpetsc.petsc.slow_modes import SlowModes
 from pdpetsc.petsc.sparse import (
     PER_ENTRY,
     allocated_bytes,
@@ -75,6 +76,9 @@ class TwoLevel(Preconditioning):
         self._interpolation.setUp()
         self._interface = Interface(grid, ~fixed) if problem.stiff else None
         self._nodes: PETSc.KSP | None = None
+        self._blocks = PETSc.PC().create(comm)
+        self._blocks.setType("pbjacobi")
+        self._blocks.setOperators(self.mat)
 
     def fill(self, state: State) -> Tangent:
         """Fill the diagonal blocks and the matrix of the nodes, without constraints; return the tangent."""
@@ -172,9 +176,20 @@ class TwoLevel(Preconditioning):
         nodes.setFromOptions()
         smoother.setFromOptions()
         self._nodes = nodes
-        if self._interface is not None and smoother.getPC().getType() == "python":
-            smoother.getPC().setPythonContext(Shell(self._interface.solve))
+        if smoother.getPC().getType() == "python":
+            learns = ksp.getType() == "minres" and smoother.getType() == "preonly"
+            self.slow = SlowModes(self.mat) if learns else None
+            smoother.getPC().setPythonContext(Shell(self._smooth))
         self.bounded = smoother.getType() in BOUNDED
+
+    def _smooth(self, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Solve the diagonal blocks with the springs between facets, and add the slow modes."""
+        if self._interface is None:
+            self._blocks.apply(r, z)
+        else:
+            self._interface.solve(r, z)
+        if self.slow is not None:
+            self.slow.add(r, z, np.abs(self.slow.stiffness))
 
     @property
     def bytes(self) -> int:
@@ -183,6 +198,7 @@ class TwoLevel(Preconditioning):
 
     def destroy(self) -> None:
         self._interpolation.destroy()
+        self._blocks.destroy()
         self._nodes = None
         if self._interface is not None:
             self._interface.destroy()

@@ -191,7 +191,7 @@ class Bordered:
         """Solve ``K y = b``, to a norm of the residual if ``goal`` is positive."""
         if goal > 0.0:
             self.ksp.setTolerances(rtol=goal / b.norm())
-        self.ksp.solve(b, y)
+        self._tangent.solve(self.ksp, b, y)
         iterations = self.ksp.getIterationNumber()
         self.iterations += iterations
         self._failed |= self.ksp.getConvergedReason() < 0 and iterations == 0

@@ -6,6 +6,7 @@ from petsc4py import PETSc
 
 from pdpetsc.petsc.shell import Shell
 from pdpetsc.petsc.slow_modes import MOST, SlowModes
+from tests.commands import ROOT, results, summary
 
 N = 400
 # Six eigenvalues, two of them negative, far below the others.
@@ -117,3 +118,19 @@ def test_no_mode_is_kept_of_a_tangent_without_slow_ones_or_of_a_solve_that_overf
     solver.modes.watch(np.ones(N), np.full(N, np.nan))
     solver.modes.keep()
     assert len(solver.modes.stiffness) == 0
+
+
+@pytest.mark.long
+@pytest.mark.processors
+def test_a_crack_in_space_is_followed_in_fewer_iterations_alike_on_two_ranks_and_without_slow_modes(tmp_path):
+    """Measured: 1304 linear iterations with slow modes, on one rank and on two."""
+    path, words = ROOT / "runs/fracture/torsion.py", ("n=6", "end=0.04", "-pd_jacobian", "matfree")
+    plain, one, two = (tmp_path / name for name in ("plain", "one", "two"))
+    results(path, *words, "-mg_levels_pc_type", "pbjacobi", output=plain)
+    results(path, *words, output=one)
+    results(path, *words, ranks=2, output=two)
+    found = summary(one)["results"]
+    for other in (two, plain):
+        assert summary(other)["results"] == pytest.approx(found, rel=1e-8)
+    with_modes, without = (sum(step["linear_iterations"] for step in summary(run)["steps"]) for run in (one, plain))
+    assert with_modes < 0.75 * without

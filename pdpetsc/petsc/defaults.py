@@ -137,7 +137,8 @@ def _of_levels(kind: str, problem: Problem, learns: bool = False) -> dict[str, o
     """Return the options of the two levels: by default, one application of the tangent per iteration.
 
     The sum of the corrections of both levels needs about twice the iterations of a cycle. An iteration applies the
-    tangent once instead of three times, and needs no estimated bounds.
+    tangent once instead of three times, and needs no estimated bounds. With ``learns`` the smoother is a Python object
+    that can add slow modes (``SlowModes``).
     """
     # For many nodes: two Chebyshev steps of GAMG. One cycle would need up to twice the iterations.
     coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 2, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}

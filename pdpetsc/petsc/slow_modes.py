@@ -23,7 +23,7 @@ class SlowModes:
     """Keep displacements W that the tangent K resists far less than its preconditioner M, and solve with them.
 
     ``M^-1 + W |W^T K W|^-1 W^T`` is a preconditioner that knows them, and is positive definite like M. Some ten
-    openings of a crack, which neither diagonal blocks nor a background grid know, cost MINRES four fifths of its
+    openings of a crack, which neither diagonal blocks nor a background grid know, cost MINRES two thirds of its
     iterations.
 
     MINRES multiplies K with vectors that are orthonormal in the scalar product of M. Those of a solve are the basis of

@@ -90,8 +90,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
-    of_points = problem.damage is not None and problem.damage.forces_have_energy
-    if of_points or problem.stiff:
+    with_energy = problem.damage is not None and problem.damage.forces_have_energy
+    if with_energy or problem.stiff:
         defaults["snes_linesearch_rtol"] = 0.1
     if choice.direct:
         defaults |= {
@@ -107,14 +107,14 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     kind = "gmres"
     if problem.symmetric and solver.of_energy:
         kind = "cg"
-    elif problem.symmetric and choice.levels and of_points:
+    elif problem.symmetric and choice.levels and with_energy and problem.bond_damage is None:
         kind = "minres"
     defaults |= {"ksp_type": kind, "ksp_rtol": 1e-8, "ksp_max_it": 500, "ksp_divtol": GROWN}
     if (choice.ksp or defaults["ksp_type"]) == "gmres":
         defaults |= {"ksp_pc_side": "right", "ksp_gmres_restart": DIRECTIONS}
-    if not problem.linear and (problem.damage is None or of_points):
+    if not problem.linear and (problem.damage is None or with_energy):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
-    if of_points:
+    if with_energy:
         # Conjugate gradients stop at negative curvature. The energy may fall or rise along the direction that they
         # return.
         defaults["snes_max_linear_solve_fail"] = defaults["snes_max_it"]

@@ -538,7 +538,7 @@ class DissipatedEnergy(Quantity):
     def evaluate(self, solution: Solution) -> float:
         problem = solution.problem
         known = problem.material_term.dissipated_energy()
-        whole = problem.damage is not None and problem.damage.forces_have_energy
+        whole = problem.damage is not None and problem.bond_damage is None
         others = not whole and any(term.has_history for term in problem.terms if term is not problem.material_term)
         if (known is None or others) and problem.body.expansion is not None:
             raise CaseError(

@@ -205,18 +205,21 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     while not solver.stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum is accepted at any distance. Along a path the energy balance limits the step.
-        most = 1.0 if is_minimum(solver, result) or (has_energy and not solver.of_minima) else GENTLE
+        # A minimum is accepted at any distance, of bonds after sweeps only: in a jump Newton's method with bonds finds
+        # other minima for other tolerances. Along a path the energy balance limits the step.
+        any_minimum = damage.of_bonds is None and is_minimum(solver, result)
+        most = 1.0 if any_minimum or (has_energy and not solver.of_minima) else GENTLE
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
-        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
+        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible or has_energy else 1)
         if not more:
             return attempt, replace(result, broken=broken)
-        if not reversible:
+        if not (reversible or has_energy):
             break
         broken += more
-        attempt, result = solver.solve(attempt, target)
+        attempt, again = solver.solve(attempt, target)
+        result = again.after(result)
     if solver.stop():
         return attempt, result
     problem.revert_bonds()  # fields that were solved for stay
@@ -330,8 +333,8 @@ def settle(
         if idle:  # the sweep before was in equilibrium already, to this tolerance
             loose *= 0.1
             continue
-        # Without an energy Newton starts from an exact sweep.
-        if more or max(change, 0.0 if energy else before) > near or near < LAST:
+        # Without an energy Newton starts from an exact sweep. With one, bonds break after they have lost all force.
+        if (more and not energy) or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
         damage.freeze(False)
         taken, at, tried = damage.stored(), solver.at, change
@@ -344,7 +347,7 @@ def settle(
             damage.freeze(not energy)
             more = fail(attempt)
             if not more:
-                growth = 0.0 if energy else solver.growth(attempt)
+                growth = 0.0 if damage.of_bonds is None else solver.growth(attempt)
                 return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
             u, broken = attempt, broken + more
         elif reversible:

@@ -138,6 +138,9 @@ class BondForces(MaterialTerm):
             scheme, of, factor = Correspondence(), self.material_of, self.factor
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
         self._is_nonlocal = damage.driving_variable.is_nonlocal
+        # The force of each bond is then a function of its own elongation. A bond that snaps jumps to another energy.
+        gradual = damage.softens and not (damage.reversible or damage.bonds.laws.snaps)
+        damage.forces_have_energy = gradual and self.symmetric
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
     # Bonds need no gradient points.

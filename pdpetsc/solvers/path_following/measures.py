@@ -160,7 +160,7 @@ class DissipationMeasure(Measure):
 
     def __init__(self, problem: Problem, declared: Dissipation) -> None:
         damage = problem.damage
-        if damage is None or not damage.forces_have_energy:
+        if damage is None or damage.of_bonds is not None:
             raise CaseError("Path following by dissipation needs PointDamage; take it, or BondStretch, or an Opening.")
         self._problem, self._damage, self._step, self._before = problem, damage, declared.step, 0.0
 

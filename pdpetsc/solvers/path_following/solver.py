@@ -273,7 +273,7 @@ class PathSolver(SnesSolver):
         further loading at the extrapolated ones.
         """
         damage, sought = self.problem.damage, self._equilibrium
-        follows = damage is None or (damage.forces_have_energy and not damage.frozen)
+        follows = damage is None or (damage.of_bonds is None and not damage.frozen)
         if self._last is None or u is not self._last[0] or self._constraint.by_load or not follows:
             return None
         _, change, of_load, of_motions = self._last

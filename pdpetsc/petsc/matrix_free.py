@@ -10,7 +10,6 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import anywhere, largest
-from pdpetsc.petsc.library import with_tolerance
 from pdpetsc.petsc.matrix import TangentMatrix
 from pdpetsc.petsc.slow_modes import SlowModes
 from pdpetsc.petsc.sparse import set_symmetry
@@ -28,10 +27,6 @@ REBUILD = 15.0
 FIRST = 2
 # Estimated bounds of the smoother may be invalid if a particle has become stiffer by this factor.
 STIFFER = 1.05
-# Largest relative tolerance of a solve that starts from slow modes.
-ROUGHEST = 0.5
-# Such a start is not used if its residual exceeds that of zero by this factor.
-WORSE = 10.0
 
 
 class Preconditioning(ABC):
@@ -169,11 +164,7 @@ class MatrixFreeTangent(PetscTangent):
         self._made_from.equip(self.mat, ksp)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve ``K x = b``. Slow modes of earlier solves start it, and the preconditioner learns those of this one.
-
-        The start keeps the tolerance that of the residual: the norm of the preconditioner with slow modes exaggerates
-        their share of ``b``.
-        """
+        """Solve ``K x = b``. The preconditioner learns the slow modes of this solve for the next one."""
         slow = self._made_from.slow
         if slow is None:
             ksp.solve(b, x)
@@ -182,24 +173,10 @@ class MatrixFreeTangent(PetscTangent):
             ksp.setUp()
             slow.renew(self.mat, ksp.getPC())
             self._renewed = True
-        start, rest = b.duplicate(), b.copy()
-        slow.add(b, start, slow.stiffness)
-        self.mat.mult(start, x)
-        rest.axpy(-1.0, x)
-        size, left = b.norm(), rest.norm()
-        if not 0.0 < left < WORSE * size:
-            start.set(0.0)
-            b.copy(rest)
-            left = size
-        rtol = ksp.getTolerances()[0]
         self._product.watch = slow.watch
-        with with_tolerance(ksp, min(rtol * size / left, ROUGHEST) if left > 0.0 else rtol):
-            ksp.solve(rest, x)
+        ksp.solve(b, x)
         self._product.watch = None
         slow.keep()
-        x.axpy(1.0, start)
-        start.destroy()
-        rest.destroy()
 
     def holds(self) -> bool:
         """Return True if the tangent is that of the current problem, at any displacement (not collective)."""

@@ -95,10 +95,10 @@ class SlowModes:
         softness = softness[slow]
         self._take((vectors @ rotated[:, slow] / softness).T @ modes, 1.0 / softness)
 
-    def add(self, r: PETSc.Vec, z: PETSc.Vec, stiffness: Float) -> None:
-        """Add ``W stiffness^-1 W^T r`` to z."""
+    def add(self, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Add ``W |W^T K W|^-1 W^T r`` to z."""
         if len(self._modes):
-            z.array += (self._sums(self._modes @ r.array_r) / stiffness) @ self._modes
+            z.array += (self._sums(self._modes @ r.array_r) / np.abs(self.stiffness)) @ self._modes
 
     def _take(self, modes: Float, stiffness: Float) -> None:
         """Keep the slowest of some modes (k, n), with a stiffness (k,) over that of M [-]."""

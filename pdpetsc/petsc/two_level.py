@@ -189,7 +189,7 @@ class TwoLevel(Preconditioning):
         else:
             self._interface.solve(r, z)
         if self.slow is not None:
-            self.slow.add(r, z, np.abs(self.slow.stiffness))
+            self.slow.add(r, z)
 
     @property
     def bytes(self) -> int:

@@ -49,7 +49,7 @@ class Solver:
 
     def precondition(self, r, z):
         z.array = r.array_r / self.scale
-        self.modes.add(r, z, np.abs(self.modes.stiffness))
+        self.modes.add(r, z)
 
     def solve(self, rng):
         """Solve for another load; return iterations and the error."""

@@ -530,7 +530,9 @@ def test_an_interface_fails_at_its_own_strength_and_energy(horizon, tmp_path):
     case = torn(
         particles=pd.Lattice((0.0, 0.0), (22.0, 4.0), 1.0), cell=pd.Cell((0.0, 0.0), (22.0, 4.0), axes="y"), cracks=[],
         horizon=horizon, material=[(LEFT, LINEAR), (~LEFT, stiff)], damage=halves(),
-        conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.5, y=0.0)],
+        conditions=[
+            pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.5, y=0.0), pd.MeanStrain(yy=0.0),
+        ],
     )  # fmt: skip
     result = pd.run(case, output=tmp_path / "torn")
     h, x = {name: np.asarray(values) for name, values in result.history.items()}, result.solution.x[:, 0]
@@ -759,6 +761,7 @@ def test_halves_whose_points_share_dilatations_take_the_rows_of_patches_that_are
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
             pd.Displacement(~left, x=lambda x, t: 0.8 * t**2 + 0.0 * x[:, 0], y=0.0),
+            pd.MeanStrain(yy=0.0),
         ],
     )  # fmt: skip
     h = pd.run(case, output=tmp_path).history

@@ -22,7 +22,7 @@ from pdpetsc.material.split import NoTension, Split
 
 # An onset that is admissible for every fracture energy [-].
 SMALL = 1e-6
-# Share of the way from the present drive to the final one that a point keeps at least if its crack turns [-].
+# Share of the way from the present drive to the final one that a point keeps at least if its curve is stretched [-].
 LEAST_LEFT = 0.5
 
 
@@ -35,8 +35,9 @@ class PointDamage(Declared):
     from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``. Damage is irreversible. A crack fails every
     point whose family it cuts, so a point dissipates ``g_f = Gc / w``, with w the width of its family across the
     crack: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No parameter is fitted. The normal of the
-    crack is the direction of the largest relative displacements in the families around the point. It turns with them
-    from step to step until the point has failed, at constant stress and dissipated energy.
+    crack is the direction of the largest relative displacements in the families around the point. Its faces keep the
+    normal at onset. Until the point has failed, Gc and w follow the direction from step to step, at constant stress
+    and dissipated energy.
 
     Gradients and weights are those of the intact body. All forces derive from the energy, and the tangent is symmetric
     if that of the material is. The energy of a material that flows is stored energy plus plastic work.
@@ -258,7 +259,7 @@ class FailingPoints:
     phi, kappa, final : (n_points,) float64
         Degradation factor, largest drive of converged steps, and final drive [-].
     start : (n_points,) float64
-        Drive at which the softening curve begins, ``xi = (x - start) / (final - start)`` [-]: 1 until the crack turns.
+        Drive at which the softening curve begins, ``xi = (x - start) / (final - start)`` [-]: 1 until it is stretched.
     spent : (n_points,) float64
         ``-int Y dphi`` up to the last converged step, over the energy at the onset [-].
     largest : (n_points,) float64
@@ -267,8 +268,8 @@ class FailingPoints:
     normal : (n_points, dim) float64
         Unit normal of the crack of each point whose damage has begun, zero at other points.
     released : (n_points,) float64
-        Energy density that slip of the faces of this crack released as it began and turned, which drives no damage
-        [energy / volume].
+        Energy density that slip of the faces of this crack released at the onset, which drives no damage [energy /
+        volume].
     frozen : bool
         True if the degradation factor is constant while the displacement changes.
     slack : float
@@ -302,16 +303,15 @@ class FailingPoints:
         length = left / (2.0 * (self.curves.area(points) - self.curves.integral(xi, points)))
         return kappa - xi * length, kappa + (1.0 - xi) * length
 
-    def turn(self, points: GlobalIndex, normal: Float, energy: Float) -> None:
-        """Let the cracks of points that fail have other normals (n, dim) and specific energies (n,) [energy / volume].
+    def stretch(self, points: GlobalIndex, energy: Float) -> None:
+        """Let points that fail dissipate other specific energies (n,) until they fail [energy / volume].
 
-        The crack may be narrower than at onset, so that a point has dissipated too much already. It keeps half its way
-        to failure, since its force would jump otherwise.
+        The family may be wider than at onset, so that a point has dissipated too much already. It keeps half its way to
+        failure, since its force would jump otherwise.
         """
         before = self.final[points] - self.start[points]
         kappa, (start, final) = self.kappa[points], self.law_of(points, energy)
         xi, length = self._xi(kappa, points), np.maximum(final - start, LEAST_LEFT * before)
-        self.normal[points] = normal
         self.start[points], self.final[points] = kappa - xi * length, kappa + (1.0 - xi) * length
         self.commit()
 

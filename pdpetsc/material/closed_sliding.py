@@ -143,10 +143,6 @@ class SlidingPart(HistoryMaterial):
         tau, s = self._shear(F, history)
         return np.asarray((tau * s).sum(axis=1))
 
-    def shear(self, F: Float, history: Float) -> Float:
-        """Return the shear traction of the faces (n,) [stress], as ``slipped``."""
-        return np.asarray(np.linalg.norm(self._shear(F, history)[0], axis=1))
-
     def rubbed(self, F: Float, history: Float) -> Float:
         """Return the work of friction since the last converged step (n,) [energy / volume], as ``slipped``."""
         tau, s = self._shear(F, history)

@@ -141,7 +141,7 @@ class NoTension(Split):
     """Closed part of a no-tension material: ``min psi(eps - p)`` over strains p of open cracks.
 
     Cracks open along the largest principal strains until no principal stress is tensile. The faces of the crack of a
-    point, with the normal n, slide: the energy is that of ``F (1 - s (x) n)`` for the slip s of the
+    point, normal to the direction n at onset, slide: the energy is that of ``F (1 - s (x) n)`` for the slip s of the
     faces over the width of the family. Faces that move apart have no stress, faces that touch a pressure and Coulomb
     friction. The slip and the work of friction are stored.
 

@@ -300,26 +300,21 @@ class DegradedPoints(MaterialPoints, DamageModel):
             Y = Y - self._of_sliding(self._sliding, SlidingPart.slipped, state) - self.points.released
         return Y
 
-    def _released(self, state: State, points: GlobalIndex, before: Float, after: Float) -> Float:
-        """Compute the energy density (n,) that slip releases as cracks of some points turn to other normals (n, dim).
+    def _released(self, state: State, points: GlobalIndex, normal: Float) -> Float:
+        """Compute the energy density (n,) that slip releases if cracks of normals (n, dim) begin at some points.
 
-        Normals are zero without a crack. Y excludes this energy. Otherwise Y would jump, and the energy would not
-        balance (collective).
+        Y excludes it. Otherwise Y would jump as a crack begins, and the energy would not balance (collective).
         """
         assert self._sliding is not None
         F, only = self.deformation(state), np.zeros(self.operator.n_points, dtype=bool)
         only[points] = True
         energy = []
-        for normal in (before, after):
-            self.points.normal[points] = normal
+        for along in (0.0, normal):
+            self.points.normal[points] = along
             self._direct()
             of_closed = self._sliding.laws(state).energy(F, only)[points]
             energy.append(of_closed + self._of_sliding(self._sliding, SlidingPart.slipped, state)[points])
         return np.asarray(energy[0] - energy[1])
-
-    def _resists(self, sliding: MaterialPoints, state: State) -> Mask:
-        """Return True for points whose closed cracks have friction (n_points,)."""
-        return self._of_sliding(sliding, SlidingPart.shear, state) > 0.0
 
     def _of_sliding(
         self, sliding: MaterialPoints, quantity: Callable[[Any, Float, Float], Float], state: State
@@ -409,7 +404,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         begun = np.flatnonzero(normal.any(axis=1))
         points.normal[begun] = normal[begun]
         if self._sliding is not None and anywhere(self.body.cloud.comm, len(begun)):
-            points.released[begun] = self._released(state, begun, np.zeros_like(normal[begun]), normal[begun])
+            points.released[begun] = self._released(state, begun, normal[begun])
         self._direct()
         change = largest(self.body.cloud.comm, np.abs(points.phi - before), initial=0.0)
         self.conduction_version += change > 0.0
@@ -427,11 +422,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
             part.history[self.points.kappa[part.points] <= 1.0] = 0.0
 
     def commit(self, state: State) -> None:
-        """Update the histories of materials, the slip of closed cracks, and normals of cracks at a converged state."""
+        """Update histories of materials, slip of closed cracks, and softening curves at a converged state."""
         super().commit(state)
         if self._sliding is not None:
             self._commit_slip(self._sliding, state)
-        self._turn(state, self._advanced)
+        self._stretch(state, self._advanced)
 
     def _commit_slip(self, sliding: MaterialPoints, state: State) -> None:
         """Update slip and the work of friction."""
@@ -442,23 +437,19 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._phi_of_work = phi.copy()
         sliding.laws(state).commit(self.deformation(state))
 
-    def _turn(self, state: State, failing: GlobalIndex) -> None:
-        """Turn the cracks of points that fail further to their normals at a converged state (collective).
+    def _stretch(self, state: State, failing: GlobalIndex) -> None:
+        """Stretch the curves of points that fail further to ``Gc / w`` of their present direction (collective).
 
-        Cracks with friction on their faces do not turn, since their slip belongs to their normal.
+        No force changes: the state stays in equilibrium. The faces keep their normal, on which forces of closed and of
+        pressurised cracks depend.
         """
-        points, comm = self.points, self.body.cloud.comm
-        failing = failing[~self._resists(self._sliding, state)[failing]] if self._sliding is not None else failing
+        comm = self.body.cloud.comm
         if not anywhere(comm, len(failing)):
             return
-        normal = self._across(state, failing, points.kappa)
-        normal *= np.where(np.einsum("pi,pi->p", normal, points.normal[failing]) < 0.0, -1.0, 1.0)[:, None]
+        across = self._across(state, failing, self.points.kappa)
         with agreed(comm):
-            energy = self._specific_energy(failing, normal)
-        if self._sliding is not None:
-            points.released[failing] += self._released(state, failing, points.normal[failing], normal)
-        points.turn(failing, normal, energy)
-        self._direct()
+            energy = self._specific_energy(failing, across)
+        self.points.stretch(failing, energy)
 
     def revert(self) -> bool:
         """Undo the damage since the last ``keep``; return False, since no weights change."""

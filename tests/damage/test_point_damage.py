@@ -12,6 +12,7 @@ from pdpetsc.command_line.cli import arguments_of, load_case
 from pdpetsc.damage.point_damage import CurvesAtPoints, FailingPoints
 from pdpetsc.output.checkpoint import seal
 from pdpetsc.running.crack_energy import missed_fracture_energy
+from pdpetsc.solvers.dynamics.motion import forces
 from tests.commands import field, history, results, summary
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
 from tests.terms.test_heat import heat_of
@@ -51,7 +52,7 @@ def test_curves_fall_from_one_to_nothing_and_integrate(name):
 
 @pytest.mark.parametrize("energy", [6.0, 9.0, 2.5])
 @pytest.mark.parametrize("name", CURVES)
-def test_a_crack_that_turns_keeps_its_stress_and_takes_the_energy_of_its_new_normal(name, energy):
+def test_a_point_whose_direction_turns_keeps_its_stress_and_takes_the_energy_of_the_new_one(name, energy):
     """``-int Y dphi`` over the whole law, turned twice; the last energy is less than has been dissipated already."""
     onset, one = 0.7, np.zeros(1, dtype=np.int64)
     points = FailingPoints(CurvesAtPoints([CURVES[name]], one), np.full(1, onset), 2)
@@ -66,7 +67,7 @@ def test_a_crack_that_turns_keeps_its_stress_and_takes_the_energy_of_its_new_nor
             phi = points.phi[0]
         points.commit()
         before = points.following(points.largest)
-        points.turn(one, np.array([[0.6, 0.8]]), np.full(1, turned))
+        points.stretch(one, np.full(1, turned))
         after = points.following(points.largest)
         assert after.phi == pytest.approx(before.phi, rel=1e-12)
         assert points.dissipated() == pytest.approx(taken, rel=1e-5)
@@ -345,6 +346,23 @@ def test_energy_is_kept_and_damage_never_heals(tmp_path):
         assert sum(step.get("sweeps") or 0 for step in result.summary["steps"]) == 0
     assert errors[0] < 0.02
     assert errors[2] < 0.35 * errors[1] < 0.35**2 * errors[0] * 1.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Unbalanced(pd.Quantity):
+    """Norm of the forces on free particles over that of all internal forces [-]."""
+
+    def evaluate(self, solution):
+        internal, external = forces(solution.problem, solution.state)
+        free = np.where(solution.problem.supports.fixed, 0.0, internal - external)
+        return float(np.linalg.norm(free) / max(np.linalg.norm(internal), 1e-300))
+
+
+def test_forces_balance_in_every_row_of_a_crack_whose_direction_turns(tmp_path):
+    """A row is written after damage is committed, which must not change forces."""
+    case = load_case(strip(tmp_path))()
+    run = pd.run(dataclasses.replace(case, history={**case.history, "off": Unbalanced()}), tmp_path)
+    assert max(run.history["off"]) < 1e-9
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e6])

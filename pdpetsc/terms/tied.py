@@ -87,7 +87,7 @@ class TiedForces(PointSprings):
             return
         for t in times:
             u = supports.prescribed(t)[:n]
-            apart = np.abs(self.points.moved(cloud.halo.with_ghosts(u))) > SAME * largest(cloud.comm, np.abs(u))
+            apart = np.abs(self.points.moved(self.body.with_ghosts(u))) > SAME * largest(cloud.comm, np.abs(u))
             if twice := count_nonzero(cloud.comm, (apart & held).any(axis=1)):
                 raise CaseError(
                     f"{name} ties {twice} pairs of facets that displacement conditions hold apart at step time {t:g}. "

@@ -187,3 +187,14 @@ def test_facets_that_conditions_hold_apart_are_refused(pull, refused):
             pd.prepare(case)
     else:
         pd.prepare(case)
+
+
+def test_facets_at_a_mirror_plane_move_together():
+    """The images of particles beyond the plane move the other way."""
+    parts = {"lower": pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.25), "upper": pd.Lattice((0.0, 1.0), (1.0, 2.0), 0.2)}
+    strained = {"x": lambda x, t: 0.1 * t * x[:, 0], "y": lambda x, t: 0.1 * t * x[:, 1]}
+    held = [pd.Displacement(part, **strained) for part in parts]
+    tie = pd.Tied("lower +y", "upper -y")
+    pd.prepare(
+        stacked(particles=pd.Bodies(parts), symmetry=[pd.Symmetry("x", 0.0)], conditions=[*held, tie], history={})
+    )

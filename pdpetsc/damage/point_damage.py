@@ -22,8 +22,8 @@ from pdpetsc.material.split import NoTension, Split
 
 # An onset that is admissible for every fracture energy [-].
 SMALL = 1e-6
-# Share of the way from the present drive to the final one that a point keeps at least if its curve is stretched [-].
-LEAST_LEFT = 0.5
+# Least and most that the way from the present drive to the final one becomes as a curve is stretched, over that before.
+LEAST_LEFT, MOST_LEFT = 0.5, 10.0
 
 
 @dataclass(frozen=True)
@@ -306,12 +306,16 @@ class FailingPoints:
     def stretch(self, points: GlobalIndex, energy: Float) -> None:
         """Let points that fail dissipate other specific energies (n,) until they fail [energy / volume].
 
-        The family may be wider than at onset, so that a point has dissipated too much already. It keeps half its way to
-        failure, since its force would jump otherwise.
+        The family may be wider than before, so that a point has dissipated too much already. It keeps half its way to
+        failure, since its force would jump otherwise. At most, the way grows tenfold: a point that has nearly failed
+        could dissipate more only far beyond all others.
         """
         before = self.final[points] - self.start[points]
-        kappa, (start, final) = self.kappa[points], self.law_of(points, energy)
-        xi, length = self._xi(kappa, points), np.maximum(final - start, LEAST_LEFT * before)
+        with np.errstate(divide="ignore", invalid="ignore"):  # just before failure nothing is left
+            start, final = self.law_of(points, energy)
+            length = np.fmin(np.fmax(final - start, LEAST_LEFT * before), MOST_LEFT * before)
+        kappa = self.kappa[points]
+        xi = self._xi(kappa, points)
         self.start[points], self.final[points] = kappa - xi * length, kappa + (1.0 - xi) * length
         self.commit()
 

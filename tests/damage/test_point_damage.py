@@ -50,7 +50,7 @@ def test_curves_fall_from_one_to_nothing_and_integrate(name):
     assert curve.stress(inner) == pytest.approx(growth, abs=1e-8)
 
 
-@pytest.mark.parametrize("energy", [6.0, 9.0, 2.5])
+@pytest.mark.parametrize("energy", [6.0, 7.0, 2.5])
 @pytest.mark.parametrize("name", CURVES)
 def test_a_point_whose_direction_turns_keeps_its_stress_and_takes_the_energy_of_the_new_one(name, energy):
     """``-int Y dphi`` over the whole law, turned twice; the last energy is less than has been dissipated already."""
@@ -80,6 +80,23 @@ def test_a_point_whose_direction_turns_keeps_its_stress_and_takes_the_energy_of_
     else:
         assert left > 0.0
         assert points.dissipated() > energy
+
+
+@pytest.mark.parametrize("left", [1e-2, 1e-6, 1e-9, 1e-12, 1e-14])
+@pytest.mark.parametrize("energy", [6.0, 8.0, 4.0])
+@pytest.mark.parametrize("name", CURVES)
+def test_a_point_that_has_nearly_failed_fails_soon_in_any_direction(name, energy, left):
+    """What is left to dissipate is a difference of equal numbers there; energies differ by up to the root of two."""
+    one = np.zeros(1, dtype=np.int64)
+    points = FailingPoints(CurvesAtPoints([CURVES[name]], one), np.ones(1), 2)
+    points.start[:], points.final[:] = points.law_of(one, np.full(1, 6.0))
+    points.largest[:] = points.final * (1.0 - left)
+    points.phi[:] = points.phi_of(points.largest, points.final)
+    points.commit()
+    way = points.final - points.kappa
+    points.stretch(one, np.full(1, energy))
+    assert 0.4 * way < points.final - points.kappa < 10.5 * way
+    assert points.following(points.largest).phi == pytest.approx(points.phi, rel=1e-3, abs=1e-9)
 
 
 @pytest.mark.processors

@@ -189,10 +189,8 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     """
     problem, broken = solver.problem, 0
     problem.freeze(False)
-    has_energy = problem.softens and damage_of(solver).forces_have_energy
-    # Pivots are those of this solve: one after damage is accepted would begin with the tangent of unloading.
-    exactly = not problem.softens or (has_energy and problem.bond_damage is not None)
-    with nullcontext() if exactly else solver.loosely(FIRST if has_energy else None):
+    has_energy = problem.softens and uses_energy(solver)
+    with solver.loosely(FIRST if has_energy else None) if problem.softens else nullcontext():
         attempt, result = solver.solve(u, target)
     if not problem.softens:
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
@@ -207,10 +205,8 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     while not solver.stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum is accepted at any distance, of bonds after sweeps only: in a jump Newton's method with bonds finds
-        # other minima for other tolerances. Along a path the energy balance limits the step.
-        any_minimum = damage.of_bonds is None and is_minimum(solver, result)
-        most = 1.0 if any_minimum or (has_energy and not solver.of_minima) else GENTLE
+        # A minimum is accepted at any distance. Along a path the energy balance limits the step.
+        most = 1.0 if is_minimum(solver, result) or (has_energy and not solver.of_minima) else GENTLE
         attempt, result, change = followed(solver, attempt, result, target, most)
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
@@ -230,7 +226,16 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
 
 def seeks_minimum(solver: StepSolver) -> bool:
     """Return True if an equilibrium has to be a minimum of an energy."""
-    return damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
+    return uses_energy(solver) and solver.problem.symmetric and solver.of_minima
+
+
+def uses_energy(solver: StepSolver) -> bool:
+    """Return True if Newton's method replaces sweeps early, because forces have an energy.
+
+    In load steps with bonds it does not: at a branching point it leaves for a branch that round-off selects.
+    """
+    damage = damage_of(solver)
+    return damage.forces_have_energy and (damage.of_bonds is None or not solver.of_minima)
 
 
 def is_saddle(solver: StepSolver, result: StepResult) -> bool:
@@ -266,13 +271,14 @@ def followed(
     change : float
         Last change of a degradation factor [-]; at most ``LAST`` if ``u`` is in equilibrium with its own damage.
     """
-    damage, series, change, easy = damage_of(solver), GeometricSeries(solver.problem), 1.0, result.easy
+    has_energy, change, easy = uses_energy(solver), 1.0, result.easy
+    damage, series = damage_of(solver), GeometricSeries(solver.problem, has_energy)
     for number in range(FOLLOWING):
         change = damage.fading(solver.state(u))
         if change > most:
             break
         solver.problem.soften(solver.state(u))
-        if change <= LAST and (number > 0 or not damage.forces_have_energy):
+        if change <= LAST and (number > 0 or not has_energy):
             break
         series.extrapolate(change)
         u, again = solver.solve(u, target)
@@ -311,10 +317,10 @@ def settle(
     As ``equilibrium``.
     """
     damage, problem = damage_of(solver), solver.problem
-    reversible, energy = damage.reversible, damage.forces_have_energy
+    reversible, energy = damage.reversible, uses_energy(solver)
     near = NEAR if energy else SETTLED
     # If forces have an energy, the tolerance becomes ten times smaller after a sweep that changed nothing.
-    series, change, loose = GeometricSeries(problem), 1.0, LOOSE
+    series, change, loose = GeometricSeries(problem, energy), 1.0, LOOSE
     # The last solve, with the iterations of all.
     broken, last = 0, StepResult(True, "", easy=False)
     for sweep in range(1, most + 1):
@@ -349,7 +355,7 @@ def settle(
             damage.freeze(not energy)
             more = fail(attempt)
             if not more:
-                growth = 0.0 if damage.of_bonds is None else solver.growth(attempt)
+                growth = 0.0 if energy else solver.growth(attempt)
                 return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
             u, broken = attempt, broken + more
         elif reversible:

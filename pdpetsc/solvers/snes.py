@@ -314,7 +314,7 @@ class SnesSolver(StepSolver):
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
-        if damage is not None and damage.forces_have_energy and self.problem.symmetric and self.of_minima:
+        if damage is not None and damage.of_bonds is None and self.problem.symmetric and self.of_minima:
             # The step is -y, and the residual the derivative of the energy.
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
             if self._rises:

@@ -190,11 +190,11 @@ def test_an_elastic_cylinder_on_an_elastic_block_has_the_pressure_of_hertz(tmp_p
 @pytest.mark.long
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 def test_a_wedge_splits_a_plate_with_the_energy_of_its_ligament(friction, tmp_path):
-    """Of ten particles over the ligament; 1.05 of the declared energy with twenty and forty."""
+    """With ten particles over the ligament."""
     split = found("wedge_splitting", "n=20", "steps=25", f"friction={friction}", output=tmp_path)
     assert split["force_over_coulomb"] == pytest.approx(1.0, abs=1e-6)
     assert split["work_over_closed_form"] == pytest.approx(1.0, abs=0.02)
-    assert split["dissipated_over_Gc"] == pytest.approx(1.11, abs=0.03)
+    assert split["dissipated_over_Gc"] == pytest.approx(1.01, abs=0.02)
     assert split["final_over_peak"] < 0.02
     assert split["peak_splitting"] == pytest.approx(41.0, rel=0.05)
 

@@ -141,19 +141,18 @@ def test_the_growth_of_a_deviation_is_that_of_two_springs(tmp_path):
 def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     """A symmetric plate stays symmetric only until round-off has grown by 1e12, which takes four such steps.
 
-    In double precision the second of these steps ends there, and the third on a stable branch. With iterative linear
-    solves the deviation has grown in the second step already, which ends on a stable branch.
+    Its deviation from symmetry in double precision grows by 1.24 a sweep at the end of the third of these steps. With
+    iterative linear solves it has grown in this step already, which ends on a stable branch.
     """
     with caplog.at_level(logging.INFO, logger="pdpetsc"):
         run(plate(pull=0.06, options=options), tmp_path)
     found = growth(tmp_path)
-    assert found[0] == 0.0 and 0.8 < found[2] < 1.0
-    assert 0.8 < found[1] < 1.0 if options else found[1] == pytest.approx(1.07, abs=0.01)
+    assert found == [0.0, pytest.approx(1.07, abs=0.01), pytest.approx(0.92 if options else 1.2, abs=0.05)]
     said = [record.message for record in caplog.records]
     near = "other equilibria are near (a deviation grows by the factor 1.07 in a sweep)"
-    assert any(near in line and line.startswith("step    2") for line in said) is not bool(options)
-    noted = "Damage jumped at a branching point in 1 of 3 steps, first at step time 0.666667"
-    assert any(noted in line for line in said) is not bool(options)
+    assert any(near in line and line.startswith("step    2") for line in said)
+    noted = f"Damage jumped at a branching point in {1 if options else 2} of 3 steps, first at step time 0.666667"
+    assert any(noted in line for line in said)
 
 
 @pytest.mark.long

@@ -190,7 +190,9 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     problem, broken = solver.problem, 0
     problem.freeze(False)
     has_energy = problem.softens and uses_energy(solver)
-    with solver.loosely(FIRST if has_energy else None) if problem.softens else nullcontext():
+    # Pivots are those of this solve: one after damage is accepted would begin with the tangent of unloading.
+    exactly = not problem.softens or (has_energy and problem.bond_damage is not None)
+    with nullcontext() if exactly else solver.loosely(FIRST if has_energy else None):
         attempt, result = solver.solve(u, target)
     if not problem.softens:
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):

@@ -337,6 +337,7 @@ def block(kind):
         conditions = [pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.3)]
     if kind == "cell":
         more |= {"cell": pd.Cell((0.0, 0.0), (end, 6.0), axes="y")}
+        conditions.append(pd.MeanStrain(yy=0.0))
     if kind == "symmetry":
         more |= {"symmetry": [pd.Symmetry("y")]}
     if kind == "matfree":

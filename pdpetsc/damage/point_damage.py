@@ -292,37 +292,45 @@ class FailingPoints:
         self.commit()
         self.spent[points] = 0.0
 
-    def law_of(self, points: GlobalIndex, energy: Float) -> tuple[Float, Float]:
-        """Return start and final drive (n,) of selected points that dissipate specific energies (n,) until they fail.
+    def final_of(self, points: GlobalIndex, energy: Float) -> Float:
+        """Return the final drives (n,) of selected points before their onset.
 
-        The stress at the largest drive of converged steps does not change, nor the energy dissipated up to it.
+        ``energy`` (n,) is their specific fracture energy [energy / volume].
         """
-        kappa = np.maximum(self.kappa[points], 1.0)
-        xi = self._xi(kappa, points)
-        left = energy / self.onset_energy[points] - self.spent[points] - kappa * self.curves.stress(xi, points)
-        length = left / (2.0 * (self.curves.area(points) - self.curves.integral(xi, points)))
-        return kappa - xi * length, kappa + (1.0 - xi) * length
+        return 1.0 + self._length(points, energy)
 
     def stretch(self, points: GlobalIndex, energy: Float) -> None:
         """Let points that fail dissipate other specific energies (n,) until they fail [energy / volume].
 
-        The family may be wider than before, so that a point has dissipated too much already. It keeps half its way to
-        failure, since its force would jump otherwise. At most, the way grows tenfold: a point that has nearly failed
-        could dissipate more only far beyond all others.
+        The stress at the largest drive does not change, nor the energy dissipated up to it. The family may be wider
+        than before, so that a point has dissipated too much already. It keeps half its way to failure, since its force
+        would jump otherwise. At most, the way grows tenfold: a point that has nearly failed could dissipate more only
+        far beyond all others.
         """
-        before = self.final[points] - self.start[points]
+        kappa, before = self.kappa[points], self.final[points] - self.start[points]
         with np.errstate(divide="ignore", invalid="ignore"):  # just before failure nothing is left
-            start, final = self.law_of(points, energy)
-            length = np.fmin(np.fmax(final - start, LEAST_LEFT * before), MOST_LEFT * before)
-        kappa = self.kappa[points]
+            length = np.fmin(np.fmax(self._length(points, energy), LEAST_LEFT * before), MOST_LEFT * before)
         xi = self._xi(kappa, points)
         self.start[points], self.final[points] = kappa - xi * length, kappa + (1.0 - xi) * length
         self.commit()
 
-    def _xi(self, x: Float, points: GlobalIndex) -> Float:
-        """Return ``xi`` (n,) [-] of selected points at drives x (n,) between onset and final drive."""
-        start = self.start[points]
-        return np.asarray((x - start) / (self.final[points] - start))
+    def _length(self, points: GlobalIndex, energy: Float) -> Float:
+        """Return ``final - start`` (n,) [-] of selected points that dissipate specific energies (n,) until they fail.
+
+        They have the present stress at the largest drive of converged steps, and have dissipated ``spent`` there.
+        """
+        kappa = np.maximum(self.kappa[points], 1.0)
+        xi = self._xi(kappa, points)
+        left = energy / self.onset_energy[points] - self.spent[points] - kappa * self.curves.stress(xi, points)
+        return np.asarray(left / (2.0 * (self.curves.area(points) - self.curves.integral(xi, points))))
+
+    def _xi(self, x: Float, points: GlobalIndex, final: Float | None = None) -> Float:
+        """Return ``xi`` (n,) [-] of selected points at drives x (n,) between onset and final drive.
+
+        ``final`` (n_points,) are other final drives.
+        """
+        start, end = self.start[points], (self.final if final is None else final)[points]
+        return np.asarray((x - start) / (end - start))
 
     @property
     def gone(self) -> Mask:
@@ -364,8 +372,7 @@ class FailingPoints:
         phi = np.ones(len(x))
         phi[(x >= final) & ~self.spared] = 0.0
         begun = np.flatnonzero((x > 1.0) & (x < final) & ~self.spared)
-        xi = (x[begun] - self.start[begun]) / (final[begun] - self.start[begun])
-        phi[begun] = self.curves.stress(xi, begun) / x[begun]
+        phi[begun] = self.curves.stress(self._xi(x[begun], begun, final), begun) / x[begun]
         return phi
 
     def dissipated(self) -> Float:

@@ -48,9 +48,9 @@ class MaterialTerm(Term):
         """Return the number of gradient points of this rank, 0 for a body without (not collective)."""
 
     @property
-    @abstractmethod
     def kappa(self) -> float:
-        """Return a typical modulus on this rank, ``lambda + 2 mu / dim`` [stress] (not collective)."""
+        """Return the largest ``lambda + 2 mu / dim`` times factor on this rank [stress] (not collective)."""
+        return self.contact_modulus(np.arange(self.body.cloud.n_owned), friction=False)
 
     @abstractmethod
     def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:

@@ -232,12 +232,8 @@ def seeks_minimum(solver: StepSolver) -> bool:
 
 
 def uses_energy(solver: StepSolver) -> bool:
-    """Return True if Newton's method replaces sweeps early, because forces have an energy.
-
-    In load steps with bonds it does not: at a branching point it leaves for a branch that round-off selects.
-    """
-    damage = damage_of(solver)
-    return damage.forces_have_energy and (damage.of_bonds is None or not solver.of_minima)
+    """Return ``DamageModel.uses_energy``."""
+    return damage_of(solver).uses_energy(on_path=not solver.of_minima)
 
 
 def is_saddle(solver: StepSolver, result: StepResult) -> bool:

@@ -299,11 +299,6 @@ class BondForces(MaterialTerm):
         """Return True if bonds can fail."""
         return self.damage is not None
 
-    @property
-    def kappa(self) -> float:
-        """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
-        return self._largest(lambda elastic: elastic.bulk_like_modulus(self.body.dim))
-
     def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
         """Return the largest ``lambda + 2 mu / dim`` times factor of own particles, with friction or without."""
         return self._largest(lambda elastic: elastic.bulk_like_modulus(self.body.dim), particles)

@@ -210,7 +210,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Compute the final drive r (n,) of some points for cracks normal to directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
-            final = self.points.law_of(points, self._specific_energy(points, along))[1]
+            final = self.points.final_of(points, self._specific_energy(points, along))
             if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
         return final

@@ -302,11 +302,6 @@ class MaterialPoints(MaterialTerm):
             if at_points.has_history
         }
 
-    @property
-    def kappa(self) -> float:
-        """Return the largest ``lambda + 2 mu / dim`` times factor of the materials on this rank [stress]."""
-        return self._largest(lambda law: law.bulk_like_modulus(self.body.dim))
-
     def contact_modulus(self, particles: LocalIndex | GlobalIndex, friction: bool) -> float:
         """Return the modulus of the stiffest of own particles, with friction ``FRICTION`` shear moduli if less."""
         dim = self.body.dim

@@ -56,7 +56,7 @@ def test_a_point_whose_direction_turns_keeps_its_stress_and_takes_the_energy_of_
     """``-int Y dphi`` over the whole law, turned twice; the last energy is less than has been dissipated already."""
     onset, one = 0.7, np.zeros(1, dtype=np.int64)
     points = FailingPoints(CurvesAtPoints([CURVES[name]], one), np.full(1, onset), 2)
-    points.start[:], points.final[:] = points.law_of(one, np.full(1, 6.0))
+    points.final[:] = points.final_of(one, np.full(1, 6.0))
     x = np.linspace(0.9, 1.2, 2000)
     taken, phi = 0.0, 1.0
     for turned in (5.0, energy):
@@ -89,7 +89,7 @@ def test_a_point_that_has_nearly_failed_fails_soon_in_any_direction(name, energy
     """What is left to dissipate is a difference of equal numbers there; energies differ by up to the root of two."""
     one = np.zeros(1, dtype=np.int64)
     points = FailingPoints(CurvesAtPoints([CURVES[name]], one), np.ones(1), 2)
-    points.start[:], points.final[:] = points.law_of(one, np.full(1, 6.0))
+    points.final[:] = points.final_of(one, np.full(1, 6.0))
     points.largest[:] = points.final * (1.0 - left)
     points.phi[:] = points.phi_of(points.largest, points.final)
     points.commit()

@@ -90,7 +90,7 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
-    with_energy = problem.damage is not None and problem.damage.uses_energy(on_path=not solver.of_energy)
+    with_energy = problem.damage is not None and problem.damage.forces_have_energy
     if with_energy or problem.stiff:
         defaults["snes_linesearch_rtol"] = 0.1
     if choice.direct:

@@ -99,13 +99,6 @@ class DamageModel(ABC):
         """Return True if damage stays constant while the displacement changes (not collective)."""
         return self.failing.frozen
 
-    def uses_energy(self, on_path: bool) -> bool:
-        """Return True if Newton's method replaces sweeps early, because forces have an energy (not collective).
-
-        In load steps with bonds it does not: at a branching point it leaves for a branch that round-off selects.
-        """
-        return self.forces_have_energy and (on_path or self.of_bonds is None)
-
     def freeze(self, frozen: bool) -> None:
         """Fix damage, or let it follow the displacement (not collective)."""
         if self.frozen != frozen:

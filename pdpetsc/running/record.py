@@ -146,6 +146,7 @@ def _of_attempt(result: StepResult, unit: str) -> dict[str, Any]:
         "reference": result.reference,
         "negative_pivots": result.negative_pivots,
         **({"growth": result.growth} if result.growth else {}),
+        **({"crossed": True} if result.crossed else {}),
         **({"moved": result.moved} if result.moved else {}),
         **({"switched": result.switched} if result.switched else {}),
         f"{unit.lower()}_iterations": result.iterations,

@@ -45,7 +45,7 @@ class Stability(Observer):
     def warnings(self, steps: StepRecords) -> list[str]:
         """Return a warning for unstable equilibria and one for branches."""
         unstable = [step["t"] for step in steps if step["negative_pivots"]]
-        branching = [step["t"] for step in steps if step.get("growth", 0.0) > 1.0]
+        branching = [step["t"] for step in steps if step.get("growth", 0.0) > 1.0 or step.get("crossed")]
         found = []
         if unstable and not self._case.solver.finds_load:
             found.append(
@@ -59,7 +59,8 @@ class Stability(Observer):
             )
         if branching:
             found.append(
-                f"Damage jumped at a branching point in {len(branching)} of {len(steps)} steps, first at step time "
-                f"{branching[0]:.6g}; round-off may choose the branch. Use smaller steps, or perturb the body."
+                f"Damage grew through unstable states in {len(branching)} of {len(steps)} steps, first at step time "
+                f"{branching[0]:.6g}; round-off may choose the equilibrium. Use smaller steps, perturb the body, or "
+                "follow the path."
             )
         return found

@@ -27,15 +27,13 @@ class GeometricSeries:
     ----------
     problem : Problem
         A problem with damage.
-    has_energy : bool
-        Whether Newton's method settles the rest.
     """
 
-    def __init__(self, problem: Problem, has_energy: bool) -> None:
+    def __init__(self, problem: Problem) -> None:
         damage = problem.damage
         assert damage is not None
         self._problem, self._damage = problem, damage
-        applies = not (has_energy or damage.reversible)
+        applies = not (damage.forces_have_energy or damage.reversible)
         self._phi: Float | None = damage.stored()[0] if applies else None
         self._change: Float | None = None
 

@@ -26,9 +26,10 @@ GENTLE = 0.3
 LAST = 1e-10
 SWEEPS = 1000
 # If forces have an energy, Newton with damage that follows the displacement is tried when a sweep changes no
-# degradation factor by more than NEAR. Otherwise sweeps and Newton reach the same equilibrium with different damage.
-# Newton is then tried when damage has settled to SETTLED, and accepted if it changes no factor by more than CLOSE.
-NEAR, SETTLED, CLOSE = 0.03, 1e-6, 1e-3
+# degradation factor by more than NEAR, or NEAR_MINIMUM if only a minimum is accepted. Otherwise sweeps and Newton reach
+# the same equilibrium with different damage. Newton is then tried when damage has settled to SETTLED, and accepted if
+# it changes no factor by more than CLOSE.
+NEAR, NEAR_MINIMUM, SETTLED, CLOSE = 0.03, 0.1, 1e-6, 1e-3
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much, and rounding with them.
 FIRST = 1e-8
@@ -189,10 +190,8 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     """
     problem, broken = solver.problem, 0
     problem.freeze(False)
-    has_energy = problem.softens and uses_energy(solver)
-    # Pivots are those of this solve: one after damage is accepted would begin with the tangent of unloading.
-    exactly = not problem.softens or (has_energy and problem.bond_damage is not None)
-    with nullcontext() if exactly else solver.loosely(FIRST if has_energy else None):
+    has_energy = problem.softens and damage_of(solver).forces_have_energy
+    with solver.loosely(FIRST if has_energy else None) if problem.softens else nullcontext():
         attempt, result = solver.solve(u, target)
     if not problem.softens:
         while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
@@ -207,9 +206,7 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     while not solver.stop() and result.converged:
         if is_saddle(solver, result):
             break  # sweeps find a minimum of the energy
-        # A minimum is accepted at any distance. Along a path the energy balance limits the step.
-        most = 1.0 if is_minimum(solver, result) or (has_energy and not solver.of_minima) else GENTLE
-        attempt, result, change = followed(solver, attempt, result, target, most)
+        attempt, result, change = followed(solver, attempt, result, target, largest_change(solver, result))
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible or has_energy else 1)
@@ -228,12 +225,7 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
 
 def seeks_minimum(solver: StepSolver) -> bool:
     """Return True if an equilibrium has to be a minimum of an energy."""
-    return uses_energy(solver) and solver.problem.symmetric and solver.of_minima
-
-
-def uses_energy(solver: StepSolver) -> bool:
-    """Return ``DamageModel.uses_energy``."""
-    return damage_of(solver).uses_energy(on_path=not solver.of_minima)
+    return damage_of(solver).forces_have_energy and solver.problem.symmetric and solver.of_minima
 
 
 def is_saddle(solver: StepSolver, result: StepResult) -> bool:
@@ -245,6 +237,16 @@ def is_minimum(solver: StepSolver, result: StepResult) -> bool:
     """Return True if an equilibrium is accepted as a minimum of the energy, by its pivots or by conjugate gradients."""
     told = result.negative_pivots is not None or solver.meets_curvature
     return seeks_minimum(solver) and told and not result.negative_pivots
+
+
+def largest_change(solver: StepSolver, result: StepResult) -> float:
+    """Return by how much a first solution of Newton's method may change a degradation factor [-].
+
+    Of points a minimum is accepted at any distance, and along a path every solution, since the energy balance limits
+    the step. With bonds, minima and loads beyond a larger change depend on the size of the step.
+    """
+    of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
+    return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
 
 
 def damage_of(solver: StepSolver) -> DamageModel:
@@ -269,18 +271,18 @@ def followed(
     change : float
         Last change of a degradation factor [-]; at most ``LAST`` if ``u`` is in equilibrium with its own damage.
     """
-    has_energy, change, easy = uses_energy(solver), 1.0, result.easy
-    damage, series = damage_of(solver), GeometricSeries(solver.problem, has_energy)
+    damage, series, change, easy = damage_of(solver), GeometricSeries(solver.problem), 1.0, result.easy
     for number in range(FOLLOWING):
         change = damage.fading(solver.state(u))
         if change > most:
             break
         solver.problem.soften(solver.state(u))
-        if change <= LAST and (number > 0 or not has_energy):
+        if change <= LAST and (number > 0 or not damage.forces_have_energy):
             break
         series.extrapolate(change)
         u, again = solver.solve(u, target)
-        result = replace(again.after(result), easy=easy)
+        # Once damage is accepted, the first tangent of a solve is that of unloading.
+        result = replace(again.after(result), easy=easy, negative_pivots=result.negative_pivots)
         if not again.converged:
             break
     return u, result, change
@@ -315,10 +317,10 @@ def settle(
     As ``equilibrium``.
     """
     damage, problem = damage_of(solver), solver.problem
-    reversible, energy = damage.reversible, uses_energy(solver)
-    near = NEAR if energy else SETTLED
+    reversible, energy = damage.reversible, damage.forces_have_energy
+    near = NEAR_MINIMUM if seeks_minimum(solver) else NEAR if energy else SETTLED
     # If forces have an energy, the tolerance becomes ten times smaller after a sweep that changed nothing.
-    series, change, loose = GeometricSeries(problem, energy), 1.0, LOOSE
+    series, change, loose = GeometricSeries(problem), 1.0, LOOSE
     # The last solve, with the iterations of all.
     broken, last = 0, StepResult(True, "", easy=False)
     for sweep in range(1, most + 1):
@@ -345,9 +347,12 @@ def settle(
         damage.freeze(False)
         taken, at, tried = damage.stored(), solver.at, change
         attempt, closed = solver.solve(u, target)
+        if closed.iterations < 2:  # the only tangent is that of unloading from the sweep
+            closed = replace(closed, negative_pivots=None)
         if closed.converged and not is_saddle(solver, closed):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
+        crossed = last.crossed or (tried <= CLOSE and is_saddle(solver, closed))
         last = closed = closed.after(last)
         if closed.converged and not is_saddle(solver, closed) and change <= LAST:
             damage.freeze(not energy)
@@ -360,7 +365,8 @@ def settle(
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
             return u, closed.refused(reason)
         else:
-            near = 0.1 * tried
+            # A way through unstable states that led nowhere does not matter, sweeps towards a saddle point do.
+            near, last = 0.1 * tried, replace(last, crossed=crossed)
             solver.return_to(at)
             problem.reset_bonds(taken)
     return u, result.refused(f"damage did not settle in {most} sweeps")

@@ -105,6 +105,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         """
         sought = self._equilibrium
         self.t = t
+        self._crossed = False
         sought.impose(t)
         if sought.begin(u):
             self._use_tangent()
@@ -126,7 +127,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         converged = reason > 0 and resting and bool(seen or self._judged(self._x))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear + more)
         if converged:
-            result = replace(result, negative_pivots=self._pivots())
+            result = replace(result, negative_pivots=self._pivots(), crossed=self._crossed)
         else:
             sought.forget()
         self.resumed = None

@@ -52,6 +52,9 @@ class StepResult:
     growth : float
         After damage has settled in sweeps, the factor by which a deviation from the equilibrium grows from one sweep to
         the next [-]. Above 1, other branches of equilibria exist, and round-off may decide which branch a run follows.
+    crossed : bool
+        Whether Newton's method, with damage that follows the displacement, passed unstable states on its way. Round-off
+        may then decide which equilibrium it found.
     moved : float
         Time of a motion that led to the equilibrium [time].
     switched : float
@@ -72,6 +75,7 @@ class StepResult:
     easy: bool = True
     negative_pivots: int | None = None
     growth: float = 0.0
+    crossed: bool = False
     moved: float = 0.0
     switched: float = 0.0
     broken: int = 0
@@ -82,12 +86,13 @@ class StepResult:
         return replace(self, converged=False, reason=reason)
 
     def after(self, before: StepResult) -> StepResult:
-        """Return this outcome with iterations, broken bonds and sweeps of those before it, easy only if all were."""
+        """Return this outcome with what those before it took, easy only if all were, crossed if one was."""
         return replace(
             self,
             iterations=self.iterations + before.iterations,
             linear_iterations=self.linear_iterations + before.linear_iterations,
             easy=self.easy and before.easy,
+            crossed=self.crossed or before.crossed,
             broken=self.broken + before.broken,
             sweeps=self.sweeps + before.sweeps,
         )
@@ -303,6 +308,7 @@ class Solver(ABC):
             f"{f', switched to the stable branch, {result.switched:.3g} away' if result.switched else ''}"
             f"{f', {result.broken} bonds broke' if result.broken else ''}"
             f"{f', damage settled in {result.sweeps} sweeps' if result.sweeps else ''}"
+            f"{', grew through unstable states' if result.crossed else ''}"
             f"{f', other equilibria are near ({growth})' if result.growth > 1.0 else ''}"
         )
 

@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.petsc.library import forces_iteration, set_domain_error, with_solves_to, with_tolerance
+from pdpetsc.petsc.library import forces_iteration, met_indefinite, set_domain_error, with_solves_to, with_tolerance
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -60,8 +60,9 @@ class SnesSolver(StepSolver):
         self._scales = self._equilibrium.scales
         self._bodies = RigidBodies(problem, self._equilibrium.size)
         self.snes = PETSc.SNES().create(comm=self._comm)
-        # Whether the energy rises along the last step of the linear solver.
-        self._rises = False
+        # Whether the energy rises along the last step of the linear solver, and whether a tangent of this solve with
+        # damage that follows had negative eigenvalues.
+        self._rises = self._crossed = False
         # Whether conjugate gradients failed in the last solve, since a matrix was not definite.
         self._indefinite = False
 
@@ -314,11 +315,14 @@ class SnesSolver(StepSolver):
         """
         sought, damage = self._equilibrium, self.problem.damage
         self._rises = False
-        if damage is not None and damage.of_bonds is None and self.problem.symmetric and self.of_minima:
+        if damage is not None and damage.forces_have_energy and self.problem.symmetric and self.of_minima:
             # The step is -y, and the residual the derivative of the energy.
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
             if self._rises:
                 y.scale(-1.0)
+            if not damage.frozen:
+                ksp = self.snes.getKSP()
+                self._crossed |= self._rises or met_indefinite(ksp) or bool(sought.negative_pivots(self.snes, ksp))
         if not sought.resting:
             step = y.array_r * self._scales.length
             y.array = sought.held_in_place(step, self._read(x), self._answer, self.rtol) / self._scales.length

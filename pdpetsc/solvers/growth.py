@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import norm
-from pdpetsc.petsc.library import put_irregular, with_tolerance
+from pdpetsc.arrays import Float, irregular
+from pdpetsc.discrete.communicator import largest, norm
+from pdpetsc.petsc.library import with_tolerance
 from pdpetsc.solvers.equilibrium import Equilibrium
 
 # Number of power iterations, and the tolerance of their linear solves.
 POWERS, RTOL = 20, 1e-3
 
 
-def growth_of_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float) -> float:
-    """Compute the factor by which a deviation grows from sweep to sweep at an equilibrium with settled damage [-].
+def growing_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float) -> tuple[float, Float]:
+    """Compute the deviation that grows most from sweep to sweep at an equilibrium with settled damage.
 
     A sweep maps a deviation v of the displacement to ``v - K^-1 L v``. K is the tangent with damage held. L is the
     tangent in which all bonds at their largest drive continue to lose force. Power iterations give the largest factor
@@ -32,9 +32,16 @@ def growth_of_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float)
     t : float
         Load parameter [-].
 
+    Returns
+    -------
+    growth : float
+        Factor by which it grows in a sweep [-].
+    v : (n_rows, dim) float64
+        The deviation; its largest component is the smallest spacing [length].
+
     Notes
     -----
-    Collective. The result is a lower bound. Other factors close to the largest one lower it by a few per cent.
+    Collective. The factor is a lower bound. Other factors close to the largest one lower it by a few per cent.
     """
     problem, tangent, scale = sought.problem, sought.tangent, sought.scales.stiffness
     damage, supports = problem.damage, problem.supports
@@ -48,8 +55,8 @@ def growth_of_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float)
     damage.freeze(frozen)
     ksp.setOperators(tangent.mat, tangent.preconditioner)
     x, b = tangent.preconditioner.createVecs()
-    put_irregular(x)
-    v = np.where(free, x.array_r.reshape(u.shape), 0.0)
+    v, n, gid = np.zeros_like(u), problem.body.cloud.n_owned, problem.body.cloud.gid
+    v[:n] = np.where(free[:n], irregular(gid[:n], problem.dim), 0.0)
     norms = []
     with with_tolerance(ksp, RTOL):
         for _ in range(POWERS):
@@ -62,4 +69,7 @@ def growth_of_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float)
     sought.forget()
     before, after = norms[POWERS // 2 - 1], norms[-1]
     factor = (after / before) ** (2.0 / POWERS) if before > 0.0 else 0.0
-    return factor if np.isfinite(factor) else 0.0
+    top = largest(problem.body.cloud.comm, np.abs(v), initial=0.0)
+    if not (np.isfinite(factor) and top > 0.0):
+        return 0.0, np.zeros_like(v)
+    return factor, supports.completed(v * (sought.smallest_spacing / top))

@@ -30,6 +30,8 @@ SWEEPS = 1000
 # the same equilibrium with different damage. Newton is then tried when damage has settled to SETTLED, and accepted if
 # it changes no factor by more than CLOSE.
 NEAR, NEAR_MINIMUM, SETTLED, CLOSE = 0.03, 0.1, 1e-6, 1e-3
+# Newton's method leaves a saddle point from where a degradation factor differs by this.
+OFF = 0.1
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much, and rounding with them.
 FIRST = 1e-8
@@ -249,6 +251,17 @@ def largest_change(solver: StepSolver, result: StepResult) -> float:
     return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
 
 
+def moved_off(solver: StepSolver, u: Float) -> Float:
+    """Return unknowns beside a saddle point ``u``, along the deviation that grows most in sweeps (collective).
+
+    A degradation factor differs there by more than ``OFF``.
+    """
+    _, v = solver.deviation(u)
+    damage, sides = damage_of(solver), (u + 2.0**power * v for power in range(-40, 1))
+    at = damage.fading(solver.state(u))
+    return next((beside for beside in sides if damage.fading(solver.state(beside)) > at + OFF), u)
+
+
 def damage_of(solver: StepSolver) -> DamageModel:
     """Return the damage of the problem of a solver, which must soften."""
     assert solver.problem.damage is not None
@@ -336,7 +349,7 @@ def settle(
         more = 0 if reversible and change >= SETTLED else fail(u)
         broken += more
         if change <= LAST and near < LAST and not more:
-            found = replace(result, reason="damage settled", negative_pivots=None, growth=solver.growth(u))
+            found = replace(result, reason="damage settled", negative_pivots=None, growth=solver.deviation(u)[0])
             return u, replace(found, broken=broken, sweeps=sweep)
         if idle:  # the sweep before was in equilibrium already, to this tolerance
             loose *= 0.1
@@ -349,16 +362,19 @@ def settle(
         attempt, closed = solver.solve(u, target)
         if closed.iterations < 2:  # the only tangent is that of unloading from the sweep
             closed = replace(closed, negative_pivots=None)
+        crossed = last.crossed
+        if tried <= CLOSE and is_saddle(solver, closed):  # sweeps would leave it only after round-off has grown
+            attempt, beside = solver.solve(moved_off(solver, attempt), target)
+            closed, crossed = replace(beside.after(closed), crossed=True), True
         if closed.converged and not is_saddle(solver, closed):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
-        crossed = last.crossed or (tried <= CLOSE and is_saddle(solver, closed))
         last = closed = closed.after(last)
         if closed.converged and not is_saddle(solver, closed) and change <= LAST:
             damage.freeze(not energy)
             more = fail(attempt)
             if not more:
-                growth = 0.0 if energy else solver.growth(attempt)
+                growth = 0.0 if energy else solver.deviation(attempt)[0]
                 return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
             u, broken = attempt, broken + more
         elif reversible:

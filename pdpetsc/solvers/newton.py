@@ -30,7 +30,7 @@ from pdpetsc.solvers.branch import BranchSwitch
 from pdpetsc.solvers.coupled_tangent import CoupledInverse
 from pdpetsc.solvers.eigenvectors import EXACT
 from pdpetsc.solvers.equilibrium import SETTLINGS, UNBALANCED
-from pdpetsc.solvers.growth import growth_of_deviation
+from pdpetsc.solvers.growth import growing_deviation
 from pdpetsc.solvers.load_steps import SAME_TIME, LoadStepSolver
 from pdpetsc.solvers.protocol import Flexibility, Setting, StepResult
 from pdpetsc.solvers.snes import SnesSolver
@@ -137,10 +137,10 @@ class StaticSolver(SnesSolver, LoadStepSolver):
     def _tangent_solver(self) -> PETSc.KSP | None:
         return None if self._all_prescribed else self.snes.getKSP()
 
-    def growth(self, u: Float) -> float:
-        """Return the factor by which a deviation grows from sweep to sweep (``growth_of_deviation``)."""
+    def deviation(self, u: Float) -> tuple[float, Float]:
+        """Return the deviation that grows most from sweep to sweep (``growing_deviation``)."""
         ksp = self._tangent_solver
-        return 0.0 if ksp is None else growth_of_deviation(self._equilibrium, ksp, u, self.t)
+        return super().deviation(u) if ksp is None else growing_deviation(self._equilibrium, ksp, u, self.t)
 
     def switched(self, u: Float, result: StepResult) -> tuple[Float, StepResult]:
         """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome."""

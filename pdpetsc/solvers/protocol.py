@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
@@ -376,9 +377,12 @@ class StepSolver(Solver):
         Solvers without a tangent do not check.
         """
 
-    def growth(self, u: Float) -> float:
-        """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if unknown (collective)."""
-        return 0.0
+    def deviation(self, u: Float) -> tuple[float, Float]:
+        """Return ``StepResult.growth`` at an equilibrium with settled damage, and its deviation (collective).
+
+        The largest component of the deviation (n_rows, dim) is the smallest spacing [length]; both are 0 if unknown.
+        """
+        return 0.0, np.zeros_like(u)
 
     def switched(self, u: Float, result: StepResult) -> tuple[Float, StepResult]:
         """Return a stable equilibrium under the load of the unstable equilibrium ``u``, and its outcome (collective).

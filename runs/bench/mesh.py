@@ -1,10 +1,10 @@
 """Time conforming weights, a solve, and linear elements: [mpirun -n 2] python runs/bench/mesh.py [name=value ...].
 
 A block of E = 1 and nu = 0.25, n cells a side, whose inner nodes are moved by up to ``shake`` of a cell, held at one
-end and pulled at the other. One particle sits in each cell; correspondence with Silling's control and conforming
-weights. Parameters and their defaults: kind=tetrahedra n=15 horizon=2.015 shake=0.2 repeats=1 json=; kind is
-tetrahedra, hexahedra or triangles, the horizon is in spacings of a lattice with as many particles, json is a file for
-what was measured. Prints, medians of ``repeats``, seconds of
+end and pulled at the other. One particle sits in each cell, or at each node; correspondence with Silling's control and
+conforming weights. Parameters and their defaults: kind=tetrahedra n=15 at=cells horizon=2.015 shake=0.2 repeats=1
+json=; kind is tetrahedra, hexahedra or triangles, at is cells or nodes, the horizon is in spacings of a lattice with as
+many particles, json is a file for what was measured. Prints, medians of ``repeats``, seconds of
 
 ``cloud``     particles and families
 ``weights``   what conforming weights take more than standard ones, until the body is ready to be solved
@@ -47,11 +47,11 @@ def mesh(kind, n, shake):
     return common.grid(n, shake, 0, (1.0,) * dim, cells)
 
 
-def block_of(kind, n, horizon, shake, weights):
-    """Return the block with a particle in each cell."""
+def block_of(kind, n, at, horizon, shake, weights):
+    """Return the block; of particles in cells a layer of cells is held, of those at nodes the end."""
     points, block = mesh(kind, n, shake)
-    particles = common.of_cells(points, block)
-    dim, end = points.shape[1], 1.0 / n
+    particles = pd.choose("at", at, {"cells": common.of_cells, "nodes": common.of_nodes})(points, block)
+    dim, end = points.shape[1], (1.0 if at == "cells" else 0.1) / n
     return pd.Case(
         particles=particles,
         horizon=horizon * common.spacing_of(particles),
@@ -182,7 +182,7 @@ def measure(values):
 def main():
     """Print what was measured."""
     given = dict(word.split("=", 1) for word in words)
-    defaults = {"kind": "tetrahedra", "n": 15, "horizon": 2.015, "shake": 0.2}
+    defaults = {"kind": "tetrahedra", "n": 15, "at": "cells", "horizon": 2.015, "shake": 0.2}
     values = {name: type(value)(given.pop(name, value)) for name, value in defaults.items()}
     repeats, out = int(given.pop("repeats", 1)), given.pop("json", "")
     if given:

@@ -30,8 +30,8 @@ SWEEPS = 1000
 # the same equilibrium with different damage. Newton is then tried when damage has settled to SETTLED, and accepted if
 # it changes no factor by more than CLOSE.
 NEAR, NEAR_MINIMUM, SETTLED, CLOSE = 0.03, 0.1, 1e-6, 1e-3
-# Newton's method leaves a saddle point from where a degradation factor differs by this.
-OFF = 0.1
+# Sweeps leave a saddle point from where a degradation factor differs by this. The damage there stays.
+OFF = 0.03
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much, and rounding with them.
 FIRST = 1e-8
@@ -217,8 +217,7 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
         if not (reversible or has_energy):
             break
         broken += more
-        attempt, again = solver.solve(attempt, target)
-        result = again.after(result)
+        attempt, result = again_from(solver, attempt, result, target)
     if solver.stop():
         return attempt, result
     problem.revert_bonds()  # fields that were solved for stay
@@ -244,22 +243,30 @@ def is_minimum(solver: StepSolver, result: StepResult) -> bool:
 def largest_change(solver: StepSolver, result: StepResult) -> float:
     """Return by how much a first solution of Newton's method may change a degradation factor [-].
 
-    Of points a minimum is accepted at any distance, and along a path every solution, since the energy balance limits
-    the step. With bonds, minima and loads beyond a larger change depend on the size of the step.
+    If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance
+    limits the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
     """
     of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
     return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
 
 
-def moved_off(solver: StepSolver, u: Float) -> Float:
+def again_from(solver: StepSolver, u: Float, result: StepResult, target: float) -> tuple[Float, StepResult]:
+    """Solve again from an equilibrium in which bonds broke; if that takes no iteration its pivots stay."""
+    u, again = solver.solve(u, target)
+    pivots = again.negative_pivots if again.iterations else result.negative_pivots
+    return u, replace(again.after(result), negative_pivots=pivots)
+
+
+def moved_off(solver: StepSolver, u: Float) -> Float | None:
     """Return unknowns beside a saddle point ``u``, along the deviation that grows most in sweeps (collective).
 
-    A degradation factor differs there by more than ``OFF``.
+    A degradation factor differs there by more than ``OFF``. None if the deviation changes no factor so much.
     """
     _, v = solver.deviation(u)
-    damage, sides = damage_of(solver), (u + 2.0**power * v for power in range(-40, 1))
+    damage, ways = damage_of(solver), [sign * 2.0**power for power in range(-40, 1) for sign in (1.0, -1.0)]
+    sides = (u + way * v for way in ways)
     at = damage.fading(solver.state(u))
-    return next((beside for beside in sides if damage.fading(solver.state(beside)) > at + OFF), u)
+    return next((beside for beside in sides if damage.fading(solver.state(beside)) > at + OFF), None)
 
 
 def damage_of(solver: StepSolver) -> DamageModel:
@@ -360,12 +367,15 @@ def settle(
         damage.freeze(False)
         taken, at, tried = damage.stored(), solver.at, change
         attempt, closed = solver.solve(u, target)
-        if closed.iterations < 2:  # the only tangent is that of unloading from the sweep
+        if closed.iterations < 2 and not closed.negative_pivots:  # of bonds, the tangent of unloading from the sweep
             closed = replace(closed, negative_pivots=None)
         crossed = last.crossed
         if tried <= CLOSE and is_saddle(solver, closed):  # sweeps would leave it only after round-off has grown
-            attempt, beside = solver.solve(moved_off(solver, attempt), target)
-            closed, crossed = replace(beside.after(closed), crossed=True), True
+            crossed, beside = True, moved_off(solver, attempt)
+            if beside is not None:
+                problem.soften(solver.state(beside))
+                u, last, near = beside, replace(closed.after(last), crossed=True), NEAR_MINIMUM
+                continue
         if closed.converged and not is_saddle(solver, closed):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
@@ -373,15 +383,20 @@ def settle(
         if closed.converged and not is_saddle(solver, closed) and change <= LAST:
             damage.freeze(not energy)
             more = fail(attempt)
+            broken += more
+            if more and energy:
+                before_breaking, (attempt, closed) = closed, again_from(solver, attempt, closed, target)
+                more = 0 if closed.converged and closed.iterations == before_breaking.iterations else more
             if not more:
-                growth = 0.0 if energy else solver.deviation(attempt)[0]
+                judged = energy and closed.negative_pivots is not None
+                growth = 0.0 if judged else solver.deviation(attempt)[0]
                 return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
-            u, broken = attempt, broken + more
+            u, last = attempt, closed
         elif reversible:
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
             return u, closed.refused(reason)
         else:
-            # A way through unstable states that led nowhere does not matter, sweeps towards a saddle point do.
+            # Unstable states on the way to a rejected solution do not count.
             near, last = 0.1 * tried, replace(last, crossed=crossed)
             solver.return_to(at)
             problem.reset_bonds(taken)

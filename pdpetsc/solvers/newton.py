@@ -173,6 +173,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
         if not self._failed() or self.stop():
             return linear
         self._equilibrium.start_over()
+        self._crossed = False
         return None
 
     def _without_solve(self) -> tuple[Float, StepResult]:

@@ -320,8 +320,8 @@ class SnesSolver(StepSolver):
             self._rises = self.snes.getFunction()[0].dot(y) < 0.0
             if self._rises:
                 y.scale(-1.0)
-            if not damage.frozen:
-                ksp = self.snes.getKSP()
+            ksp = self._tangent_solver
+            if not damage.frozen and ksp is not None:
                 self._crossed |= self._rises or met_indefinite(ksp) or bool(sought.negative_pivots(self.snes, ksp))
         if not sought.resting:
             step = y.array_r * self._scales.length

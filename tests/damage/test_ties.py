@@ -159,7 +159,7 @@ def test_a_jump_to_where_branches_lead_away_is_noted(options, tmp_path, caplog):
     found = growth(tmp_path)
     assert found == [0.0, pytest.approx(1.07, abs=0.01), pytest.approx(0.92 if options else 1.2, abs=0.05)]
     said = [record.message for record in caplog.records]
-    near = "other equilibria are near (a deviation grows by the factor 1.07 in a sweep)"
+    near = f"other equilibria are near (a deviation grows by the factor {found[1]:.2f} in a sweep)"
     assert any(near in line and line.startswith("step    2") for line in said)
     noted = f"Damage grew through unstable states in {1 if options else 2} of 3 steps, first at step time 0.666667"
     assert any(noted in line for line in said)
@@ -182,7 +182,22 @@ def test_a_minimum_beyond_unstable_states_is_noted(made, options, tmp_path, capl
     assert not crossed[0] and any(crossed[1:])
     noted = f"Damage grew through unstable states in {sum(crossed)} of 3 steps, first at step time 0.666667"
     assert any(noted in record.message for record in caplog.records)
-    assert growth(tmp_path) == [0.0, 0.0, 0.0]
+    assert not any(step["negative_pivots"] for step in summary(tmp_path)["steps"])
+
+
+def test_bonds_are_noted_where_nothing_tells_that_the_minimum_is_one(tmp_path, caplog):
+    """The pivots of LU are not counted, so that deviations are followed after the sweeps."""
+    run(plate(pull=0.06, options={"pc_type": "lu"}), tmp_path)
+    assert max(growth(tmp_path)) > 1.0
+    assert any("Damage grew through unstable states" in record.message for record in caplog.records)
+
+
+def test_bonds_without_force_break_and_leave_the_pivots(tmp_path):
+    """A run that ends where stability is unknown reaches the end, also in steps in which spent bonds break."""
+    run(plate(pull=0.06, steps=pd.Steps(3, unstable="shorten")), tmp_path)
+    steps = summary(tmp_path)["steps"]
+    assert sum(step.get("broken_bonds", 0) for step in steps) > 10
+    assert [step["negative_pivots"] for step in steps] == [0] * len(steps)
 
 
 @pytest.mark.parametrize("body", ["plate(pull=0.06)", "points(plate(pull=0.06))"])
@@ -196,7 +211,7 @@ def test_neither_ranks_nor_round_off_choose_the_minimum(body, tmp_path):
         pd.run(made(plate(variant, pull=0.06))[0], output=tmp_path / name)
     first, *others = (history(tmp_path / name)["force"] for name in ("one", "bits", "three"))
     assert summary(tmp_path / "one")["steps"][1]["crossed"]
-    assert summary(tmp_path / "one")["steps"][1]["sweeps"] < 30
+    assert summary(tmp_path / "one")["steps"][1]["sweeps"] < 100
     for other in others:
         assert np.allclose(other, first, rtol=0.0, atol=1e-8 * np.abs(first).max())
 

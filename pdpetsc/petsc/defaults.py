@@ -77,8 +77,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     system. Its restart is long because systems close to the limit need many directions. With contact a restart after 30
     iterations doubles their number.
 
-    With damage of bonds, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and decreases as Newton
-    converges (Eisenstat1996).
+    With damage of bonds without an energy, the tolerance of linear solves is 1e-8. Otherwise it starts at 1e-3 and
+    decreases as Newton converges (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",

@@ -63,4 +63,4 @@ def entries_of(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[Global
 
 def irregular(gid: GlobalIndex, dim: int) -> Float:
     """Return numbers between -1 and 1 (n, dim) without order, which belong to particles and not to ranks."""
-    return np.asarray(np.sin(1.0 + gid[:, None].astype(float) ** 2 + 78.233 * np.arange(dim)))
+    return np.asarray(np.sin(1.0 + 12.9898 * gid[:, None].astype(float) + 78.233 * np.arange(dim)))

@@ -56,7 +56,8 @@ def growing_deviation(sought: Equilibrium, ksp: PETSc.KSP, u: Float, t: float) -
     ksp.setOperators(tangent.mat, tangent.preconditioner)
     x, b = tangent.preconditioner.createVecs()
     v, n, gid = np.zeros_like(u), problem.body.cloud.n_owned, problem.body.cloud.gid
-    v[:n] = np.where(free[:n], irregular(gid[:n], problem.dim), 0.0)
+    # Squares, since numbers of the particles of a lattice themselves give a wave.
+    v[:n] = np.where(free[:n], irregular(gid[:n] ** 2, problem.dim), 0.0)
     norms = []
     with with_tolerance(ksp, RTOL):
         for _ in range(POWERS):

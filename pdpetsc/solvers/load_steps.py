@@ -322,6 +322,9 @@ def settle(
     damage has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature
     changes sign, and a step along which the energy rises is reversed.
 
+    In a symmetric body sweeps approach a saddle point of the energy. If Newton's method finds it from a sweep that
+    changed less than ``CLOSE``, sweeps continue beside it (``moved_off``).
+
     Bonds with reversible damage do not regain force in sweeps, which might not end otherwise, and break only if damage
     has settled. The last Newton solve lets them regain force and must converge.
 
@@ -384,7 +387,7 @@ def settle(
             damage.freeze(not energy)
             more = fail(attempt)
             broken += more
-            if more and energy:
+            if more and energy:  # spent bonds: an equilibrium that needs no iteration without them stays
                 before_breaking, (attempt, closed) = closed, again_from(solver, attempt, closed, target)
                 more = 0 if closed.converged and closed.iterations == before_breaking.iterations else more
             if not more:

@@ -54,7 +54,10 @@ def test_a_path_has_the_equilibria_of_load_steps(friction, tmp_path):
     for step in path.summary["steps"][1:]:
         before, last_but_one = np.array(step["norms"][-3:-1]) / step["reference"]
         assert last_but_one < before**1.5
-        assert step["newton_iterations"] <= 4
+    # Rounding decides which particles stick first, after the step in which the tool just touches.
+    iterations = [step["newton_iterations"] for step in path.summary["steps"][1:]]
+    assert iterations[0] <= 4
+    assert max(iterations[1:]) <= 3
 
 
 def beside_a_mirror():

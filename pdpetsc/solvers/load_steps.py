@@ -19,8 +19,8 @@ SAME_TIME = 1e-9
 LOAD_STEP = "load_step"
 # Growth of the step after an easy step.
 GROWTH = 1.5
-# A solution of Newton's method is accepted if it changes no degradation factor by more than this. A larger change has
-# passed unstable states, and round-off decides which of the states beyond them is found.
+# If nothing tells whether Newton's method passed unstable states, its solution is accepted if it changes no degradation
+# factor by more than this. Beyond unstable states, round-off decides which equilibrium is found.
 GENTLE = 0.3
 # Damage has settled if a sweep changes no degradation factor by more than LAST. There are at most SWEEPS sweeps.
 LAST = 1e-10
@@ -206,8 +206,8 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
         attempt, exact = solver.solve(attempt, target)
         result = exact.after(result)
     while not solver.stop() and result.converged:
-        if is_saddle(solver, result):
-            break  # sweeps find a minimum of the energy
+        if is_saddle(solver, result) or result.crossed:
+            break  # sweeps find the minimum that is reached through stable states
         attempt, result, change = followed(solver, attempt, result, target, largest_change(solver, result))
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
@@ -243,11 +243,11 @@ def is_minimum(solver: StepSolver, result: StepResult) -> bool:
 def largest_change(solver: StepSolver, result: StepResult) -> float:
     """Return by how much a first solution of Newton's method may change a degradation factor [-].
 
-    If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance
-    limits the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
+    A minimum may be at any distance. If only points fail, every solution along a path may be: the energy balance limits
+    the step.
     """
     of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
-    return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
+    return 1.0 if is_minimum(solver, result) or (of_points and not solver.of_minima) else GENTLE
 
 
 def again_from(solver: StepSolver, u: Float, result: StepResult, target: float) -> tuple[Float, StepResult]:
@@ -318,9 +318,11 @@ def settle(
     search.
 
     Sweeps are solved loosely. If forces have an energy, sweeps lower it, and the solution is accepted if its tangent
-    has no negative pivots. After a rejected solution, sweeps continue until they change ten times less, at last until
-    damage has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature
-    changes sign, and a step along which the energy rises is reversed.
+    has no negative pivots. Those before it had none either, unless the sweep changed less than ``CLOSE``: beyond
+    unstable states, the linear solver and round-off decide which minimum is found. After a rejected solution, sweeps
+    continue until they change ten times less, at last until damage has settled. With conjugate gradients, Newton's
+    method is that of Dembo1983: they stop if the curvature changes sign, and a step along which the energy rises is
+    reversed.
 
     In a symmetric body sweeps approach a saddle point of the energy. If Newton's method finds it from a sweep that
     changed less than ``CLOSE``, sweeps continue beside it (``moved_off``).
@@ -379,11 +381,12 @@ def settle(
                 problem.soften(solver.state(beside))
                 u, last, near = beside, replace(closed.after(last), crossed=True), NEAR_MINIMUM
                 continue
-        if closed.converged and not is_saddle(solver, closed):
+        accepted = closed.converged and not is_saddle(solver, closed) and (tried <= CLOSE or not closed.crossed)
+        if accepted:
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
         last = closed = closed.after(last)
-        if closed.converged and not is_saddle(solver, closed) and change <= LAST:
+        if accepted and closed.converged and change <= LAST:
             damage.freeze(not energy)
             more = fail(attempt)
             broken += more

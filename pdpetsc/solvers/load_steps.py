@@ -30,8 +30,9 @@ SWEEPS = 1000
 # the same equilibrium with different damage. Newton is then tried when damage has settled to SETTLED, and accepted if
 # it changes no factor by more than CLOSE.
 NEAR, NEAR_MINIMUM, SETTLED, CLOSE = 0.03, 0.1, 1e-6, 1e-3
-# Sweeps leave a saddle point from where a degradation factor differs by this. The damage there stays.
-OFF = 0.03
+# Sweeps leave a saddle point from where a degradation factor differs by OFF. The damage there stays. Sweeps that change
+# more than LEFT, after one that changed less than CLOSE, have left it themselves.
+OFF, LEFT = 0.03, 0.01
 # If forces have an energy, damage is first updated at an equilibrium of this tolerance. Directions of cracks that begin
 # there change by about as much, and rounding with them.
 FIRST = 1e-8
@@ -325,7 +326,7 @@ def settle(
     reversed.
 
     In a symmetric body sweeps approach a saddle point of the energy. If Newton's method finds it from a sweep that
-    changed less than ``CLOSE``, sweeps continue beside it (``moved_off``).
+    changed less than ``CLOSE``, sweeps continue beside it (``moved_off``). Loose sweeps may also leave it themselves.
 
     Bonds with reversible damage do not regain force in sweeps, which might not end otherwise, and break only if damage
     has settled. The last Newton solve lets them regain force and must converge.
@@ -345,7 +346,7 @@ def settle(
     reversible, energy = damage.reversible, damage.forces_have_energy
     near = NEAR_MINIMUM if seeks_minimum(solver) else NEAR if energy else SETTLED
     # If forces have an energy, the tolerance becomes ten times smaller after a sweep that changed nothing.
-    series, change, loose = GeometricSeries(problem), 1.0, LOOSE
+    series, change, least, loose = GeometricSeries(problem), 1.0, 1.0, LOOSE
     # The last solve, with the iterations of all.
     broken, last = 0, StepResult(True, "", easy=False)
     for sweep in range(1, most + 1):
@@ -366,6 +367,8 @@ def settle(
         if idle:  # the sweep before was in equilibrium already, to this tolerance
             loose *= 0.1
             continue
+        least = min(least, change)
+        last = replace(last, crossed=last.crossed or (energy and least < CLOSE and change > LEFT))
         # Without an energy Newton starts from an exact sweep. With one, bonds break after they have lost all force.
         if (more and not energy) or max(change, 0.0 if energy else before) > near or near < LAST:
             continue

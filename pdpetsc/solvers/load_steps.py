@@ -207,8 +207,8 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
         attempt, exact = solver.solve(attempt, target)
         result = exact.after(result)
     while not solver.stop() and result.converged:
-        if is_saddle(solver, result) or result.crossed:
-            break  # sweeps find the minimum that is reached through stable states
+        if is_saddle(solver, result) or is_arbitrary(solver, result):
+            break  # sweeps find a minimum of the energy
         attempt, result, change = followed(solver, attempt, result, target, largest_change(solver, result))
         if not result.converged or change > LAST or is_saddle(solver, result):
             break
@@ -239,6 +239,14 @@ def is_minimum(solver: StepSolver, result: StepResult) -> bool:
     """Return True if an equilibrium is accepted as a minimum of the energy, by its pivots or by conjugate gradients."""
     told = result.negative_pivots is not None or solver.meets_curvature
     return seeks_minimum(solver) and told and not result.negative_pivots
+
+
+def is_arbitrary(solver: StepSolver, result: StepResult) -> bool:
+    """Return True if bonds fail and Newton's method passed unstable states.
+
+    Such a body has many minima, and the linear solver decides which one is found beyond unstable states.
+    """
+    return result.crossed and damage_of(solver).of_bonds is not None
 
 
 def largest_change(solver: StepSolver, result: StepResult) -> float:
@@ -319,11 +327,10 @@ def settle(
     search.
 
     Sweeps are solved loosely. If forces have an energy, sweeps lower it, and the solution is accepted if its tangent
-    has no negative pivots. Those before it had none either, unless the sweep changed less than ``CLOSE``: beyond
-    unstable states, the linear solver and round-off decide which minimum is found. After a rejected solution, sweeps
-    continue until they change ten times less, at last until damage has settled. With conjugate gradients, Newton's
-    method is that of Dembo1983: they stop if the curvature changes sign, and a step along which the energy rises is
-    reversed.
+    has no negative pivots. If bonds fail, those before it had none either (``is_arbitrary``), unless the sweep changed
+    less than ``CLOSE``. After a rejected solution, sweeps continue until they change ten times less, at last until
+    damage has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature
+    changes sign, and a step along which the energy rises is reversed.
 
     In a symmetric body sweeps approach a saddle point of the energy. If Newton's method finds it from a sweep that
     changed less than ``CLOSE``, sweeps continue beside it (``moved_off``). Loose sweeps may also leave it themselves.
@@ -384,7 +391,8 @@ def settle(
                 problem.soften(solver.state(beside))
                 u, last, near = beside, replace(closed.after(last), crossed=True), NEAR_MINIMUM
                 continue
-        accepted = closed.converged and not is_saddle(solver, closed) and (tried <= CLOSE or not closed.crossed)
+        arbitrary = tried > CLOSE and is_arbitrary(solver, closed)
+        accepted = closed.converged and not is_saddle(solver, closed) and not arbitrary
         if accepted:
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)

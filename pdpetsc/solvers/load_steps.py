@@ -19,8 +19,8 @@ SAME_TIME = 1e-9
 LOAD_STEP = "load_step"
 # Growth of the step after an easy step.
 GROWTH = 1.5
-# If nothing tells whether Newton's method passed unstable states, its solution is accepted if it changes no degradation
-# factor by more than this. Beyond unstable states, round-off decides which equilibrium is found.
+# A solution of Newton's method is accepted if it changes no degradation factor by more than this. A larger change has
+# passed unstable states, and round-off decides which of the states beyond them is found.
 GENTLE = 0.3
 # Damage has settled if a sweep changes no degradation factor by more than LAST. There are at most SWEEPS sweeps.
 LAST = 1e-10
@@ -206,11 +206,9 @@ def equilibrium(solver: StepSolver, bonds_at_once: int | None, u: Float, target:
     if not has_energy and result.converged and damage.fading(solver.state(attempt)) <= GENTLE:
         attempt, exact = solver.solve(attempt, target)
         result = exact.after(result)
-    while not solver.stop() and result.converged:
-        if is_saddle(solver, result) or is_arbitrary(solver, result):
-            break  # sweeps find a minimum of the energy
+    while not solver.stop() and is_acceptable(solver, result):  # otherwise sweeps find a minimum of the energy
         attempt, result, change = followed(solver, attempt, result, target, largest_change(solver, result))
-        if not result.converged or change > LAST or is_saddle(solver, result):
+        if change > LAST or not is_acceptable(solver, result):
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible or has_energy else 1)
         if not more:
@@ -241,22 +239,25 @@ def is_minimum(solver: StepSolver, result: StepResult) -> bool:
     return seeks_minimum(solver) and told and not result.negative_pivots
 
 
-def is_arbitrary(solver: StepSolver, result: StepResult) -> bool:
-    """Return True if bonds fail and Newton's method passed unstable states.
+def is_acceptable(solver: StepSolver, result: StepResult, tried: float = 1.0) -> bool:
+    """Return True if a solution of Newton's method may end a load step.
 
-    Such a body has many minima, and the linear solver decides which one is found beyond unstable states.
+    It is no saddle point. If bonds fail, no unstable state was on the way: beyond them there are many minima, and the
+    linear solver decides which one is found. This does not matter after a sweep that changed no degradation factor by
+    more than ``CLOSE``. ``tried`` is the change of that sweep [-].
     """
-    return result.crossed and damage_of(solver).of_bonds is not None
+    is_arbitrary = result.crossed and damage_of(solver).of_bonds is not None and tried > CLOSE
+    return result.converged and not is_saddle(solver, result) and not is_arbitrary
 
 
 def largest_change(solver: StepSolver, result: StepResult) -> float:
     """Return by how much a first solution of Newton's method may change a degradation factor [-].
 
-    A minimum may be at any distance. If only points fail, every solution along a path may be: the energy balance limits
-    the step.
+    If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance limits
+    the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
     """
     of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
-    return 1.0 if is_minimum(solver, result) or (of_points and not solver.of_minima) else GENTLE
+    return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
 
 
 def again_from(solver: StepSolver, u: Float, result: StepResult, target: float) -> tuple[Float, StepResult]:
@@ -266,12 +267,11 @@ def again_from(solver: StepSolver, u: Float, result: StepResult, target: float) 
     return u, replace(again.after(result), negative_pivots=pivots)
 
 
-def moved_off(solver: StepSolver, u: Float) -> Float | None:
-    """Return unknowns beside a saddle point ``u``, along the deviation that grows most in sweeps (collective).
+def moved_off(solver: StepSolver, u: Float, v: Float) -> Float | None:
+    """Return unknowns beside a saddle point ``u``, along a deviation ``v`` that grows in sweeps (collective).
 
     A degradation factor differs there by more than ``OFF``. None if the deviation changes no factor so much.
     """
-    _, v = solver.deviation(u)
     damage, ways = damage_of(solver), [sign * 2.0**power for power in range(-40, 1) for sign in (1.0, -1.0)]
     sides = (u + way * v for way in ways)
     at = damage.fading(solver.state(u))
@@ -326,14 +326,14 @@ def settle(
     follows the displacement starts from it. Newton's solution is in equilibrium with its own damage and ends the
     search.
 
-    Sweeps are solved loosely. If forces have an energy, sweeps lower it, and the solution is accepted if its tangent
-    has no negative pivots. If bonds fail, those before it had none either (``is_arbitrary``), unless the sweep changed
-    less than ``CLOSE``. After a rejected solution, sweeps continue until they change ten times less, at last until
-    damage has settled. With conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature
-    changes sign, and a step along which the energy rises is reversed.
+    Sweeps are solved loosely. If forces have an energy, sweeps lower it. After a solution that is not acceptable
+    (``is_acceptable``), sweeps continue until they change ten times less, at last until damage has settled. With
+    conjugate gradients, Newton's method is that of Dembo1983: they stop if the curvature changes sign, and a step along
+    which the energy rises is reversed.
 
-    In a symmetric body sweeps approach a saddle point of the energy. If Newton's method finds it from a sweep that
-    changed less than ``CLOSE``, sweeps continue beside it (``moved_off``). Loose sweeps may also leave it themselves.
+    In a symmetric body sweeps approach a saddle point of the energy. Sweeps continue beside it (``moved_off``), if
+    Newton's method finds it from a sweep that changed less than ``CLOSE``, or if nothing but the growth of a deviation
+    tells that it is one. Loose sweeps may also leave it themselves.
 
     Bonds with reversible damage do not regain force in sweeps, which might not end otherwise, and break only if damage
     has settled. The last Newton solve lets them regain force and must converge.
@@ -375,7 +375,7 @@ def settle(
             loose *= 0.1
             continue
         least = min(least, change)
-        last = replace(last, crossed=last.crossed or (energy and least < CLOSE and change > LEFT))
+        last = replace(last, crossed=last.crossed or (seeks_minimum(solver) and least < CLOSE and change > LEFT))
         # Without an energy Newton starts from an exact sweep. With one, bonds break after they have lost all force.
         if (more and not energy) or max(change, 0.0 if energy else before) > near or near < LAST:
             continue
@@ -384,20 +384,16 @@ def settle(
         attempt, closed = solver.solve(u, target)
         if closed.iterations < 2 and not closed.negative_pivots:  # of bonds, the tangent of unloading from the sweep
             closed = replace(closed, negative_pivots=None)
-        crossed = last.crossed
+        unstable = closed.crossed or is_saddle(solver, closed)
+        beside = None
         if tried <= CLOSE and is_saddle(solver, closed):  # sweeps would leave it only after round-off has grown
-            crossed, beside = True, moved_off(solver, attempt)
-            if beside is not None:
-                problem.soften(solver.state(beside))
-                u, last, near = beside, replace(closed.after(last), crossed=True), NEAR_MINIMUM
-                continue
-        arbitrary = tried > CLOSE and is_arbitrary(solver, closed)
-        accepted = closed.converged and not is_saddle(solver, closed) and not arbitrary
-        if accepted:
+            beside = moved_off(solver, attempt, solver.deviation(attempt)[1])
+        elif is_acceptable(solver, closed, tried):
             far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
             attempt, closed, change = followed(solver, attempt, closed, target, far)
-        last = closed = closed.after(last)
-        if accepted and closed.converged and change <= LAST:
+        accepted = is_acceptable(solver, closed, tried) and change <= LAST
+        closed = closed.after(last)
+        if accepted:
             damage.freeze(not energy)
             more = fail(attempt)
             broken += more
@@ -406,15 +402,20 @@ def settle(
                 more = 0 if closed.converged and closed.iterations == before_breaking.iterations else more
             if not more:
                 judged = energy and closed.negative_pivots is not None
-                growth = 0.0 if judged else solver.deviation(attempt)[0]
-                return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
+                growth, v = (0.0, attempt) if judged else solver.deviation(attempt)
+                if growth > 1.0 and seeks_minimum(solver):
+                    beside = moved_off(solver, attempt, v)
+                if beside is None:
+                    return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
             u, last = attempt, closed
-        elif reversible:
+        elif beside is None and reversible:
             reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
             return u, closed.refused(reason)
-        else:
-            # Unstable states on the way to a rejected solution do not count.
-            near, last = 0.1 * tried, replace(last, crossed=crossed)
+        elif beside is None:
+            near, last = 0.1 * tried, replace(closed, crossed=last.crossed or unstable)
             solver.return_to(at)
             problem.reset_bonds(taken)
+        if beside is not None:
+            problem.soften(solver.state(beside))
+            u, last, near = beside, replace(closed, crossed=True), NEAR_MINIMUM
     return u, result.refused(f"damage did not settle in {most} sweeps")

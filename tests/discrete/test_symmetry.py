@@ -215,7 +215,7 @@ def test_without_a_matrix_bonds_break_as_in_the_whole():
     options = {"pd_jacobian": "matfree", "ksp_rtol": 1e-12}
     damage = pd.LinearSoftening(pd.ConstantCritical(0.04), ratio=4.0)
     both_cracked(
-        "xy", options, material=pd.BondBased(E=10.0), damage=damage, steps=pd.Steps(10), pull=0.23, tolerance=1e-8
+        "xy", options, material=pd.BondBased(E=10.0), damage=damage, steps=pd.Steps(40), pull=0.23, tolerance=1e-8
     )
     both_cracked("xy", options, control=pd.Silling(0.3), steps=pd.Steps(2), pull=0.3, tolerance=1e-8)
 

@@ -54,8 +54,8 @@ class StepResult:
         After damage has settled in sweeps, the factor by which a deviation from the equilibrium grows from one sweep to
         the next [-]. Above 1, other branches of equilibria exist, and round-off may decide which branch a run follows.
     crossed : bool
-        Whether Newton's method, with damage that follows the displacement, passed unstable states on its way. Round-off
-        may then decide which equilibrium it found.
+        Whether Newton's method, with damage that follows the displacement, passed unstable states or found a saddle
+        point, or sweeps left one. Round-off may then decide which equilibrium was found.
     moved : float
         Time of a motion that led to the equilibrium [time].
     switched : float

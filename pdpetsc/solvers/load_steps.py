@@ -253,8 +253,8 @@ def is_acceptable(solver: StepSolver, result: StepResult, tried: float = 1.0) ->
 def largest_change(solver: StepSolver, result: StepResult) -> float:
     """Return by how much a first solution of Newton's method may change a degradation factor [-].
 
-    If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance limits
-    the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
+    If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance
+    limits the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
     """
     of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
     return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
@@ -407,15 +407,16 @@ def settle(
                     beside = moved_off(solver, attempt, v)
                 if beside is None:
                     return attempt, replace(closed, growth=growth, broken=broken, sweeps=sweep)
-            u, last = attempt, closed
-        elif beside is None and reversible:
-            reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
-            return u, closed.refused(reason)
-        elif beside is None:
-            near, last = 0.1 * tried, replace(closed, crossed=last.crossed or unstable)
-            solver.return_to(at)
-            problem.reset_bonds(taken)
         if beside is not None:
             problem.soften(solver.state(beside))
             u, last, near = beside, replace(closed, crossed=True), NEAR_MINIMUM
+        elif accepted:
+            u, last = attempt, closed
+        elif reversible:
+            reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
+            return u, closed.refused(reason)
+        else:
+            near, last = 0.1 * tried, replace(closed, crossed=last.crossed or unstable)
+            solver.return_to(at)
+            problem.reset_bonds(taken)
     return u, result.refused(f"damage did not settle in {most} sweeps")

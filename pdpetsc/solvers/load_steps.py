@@ -250,14 +250,20 @@ def is_acceptable(solver: StepSolver, result: StepResult, tried: float = 1.0) ->
     return result.converged and not is_saddle(solver, result) and not is_arbitrary
 
 
-def largest_change(solver: StepSolver, result: StepResult) -> float:
-    """Return by how much a first solution of Newton's method may change a degradation factor [-].
+def largest_change(solver: StepSolver, result: StepResult, swept: bool = False) -> float:
+    """Return by how much a solution of Newton's method may change a degradation factor [-].
 
     If only points fail, a minimum may be at any distance. Along a path every solution may be: the energy balance
-    limits the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step.
+    limits the step. If bonds fail, the loads of minima beyond a larger change depend on the size of the step, unless
+    sweeps have come near (``swept``). Without an energy, sweeps come closer.
     """
-    of_points = damage_of(solver).forces_have_energy and damage_of(solver).of_bonds is None
-    return 1.0 if of_points and (is_minimum(solver, result) or not solver.of_minima) else GENTLE
+    damage = damage_of(solver)
+    of_points = damage.forces_have_energy and damage.of_bonds is None
+    if (of_points or swept) and is_minimum(solver, result):
+        return 1.0
+    if (of_points and not solver.of_minima) or (swept and damage.reversible):
+        return 1.0
+    return CLOSE if swept and not damage.forces_have_energy else GENTLE
 
 
 def again_from(solver: StepSolver, u: Float, result: StepResult, target: float) -> tuple[Float, StepResult]:
@@ -389,8 +395,8 @@ def settle(
         if tried <= CLOSE and is_saddle(solver, closed):  # sweeps would leave it only after round-off has grown
             beside = moved_off(solver, attempt, solver.deviation(attempt)[1])
         elif is_acceptable(solver, closed, tried):
-            far = 1.0 if reversible or is_minimum(solver, closed) else GENTLE if energy else CLOSE
-            attempt, closed, change = followed(solver, attempt, closed, target, far)
+            most_changed = largest_change(solver, closed, swept=True)
+            attempt, closed, change = followed(solver, attempt, closed, target, most_changed)
         accepted = is_acceptable(solver, closed, tried) and change <= LAST
         closed = closed.after(last)
         if accepted:

@@ -7,8 +7,8 @@ between the corners. Three corners rest, the fourth one is pushed down. Assumed,
 width and length of the frames, their bond to the concrete, and the height of the corners, at half the depth.
 
 ``n`` particles over the depth. Gradient points fail (``pd.PointDamage``), with correspondence, ``Silling(G)`` and
-standard weights; the path is followed by the opening of the notch at the middle of the upper face, ``cmod``, across its
-plane, in steps of ``step`` to ``end`` [mm].
+standard weights. The path is followed by the opening of the notch along the axis of the prism, at the middle of the
+upper face, in steps of ``step`` to ``end`` [mm]. The opening across the plane of the notch, ``cmod``, is larger.
 Results: ``peak_load`` [N], ``cmod_at_peak`` [mm], ``last_load`` over the peak, and over the fracture energy of the half
 of the plane of the notch that is left: ``work`` and ``dissipated``. A warped crack is larger than that plane.
 The tests peak at 1.2 to 1.4 kN.
